@@ -185,10 +185,13 @@ def block_that_turns(rate_rad_s: Array) -> MotionBlock:
 
 
 def test_rates_in_the_dead_band_have_a_standard_deviation() -> None:
-    found = term('rate_deadband', block_that_turns(np.repeat([0.1, 5.0], 6)), 0.5)
+    by_wheels = np.tile([-0.7, 0.2, 0.7], 4)
+    block = block_that_turns(np.repeat([0.1, 5.0], 6))
+    found = term('rate_deadband', replace(block, wheel_turn_rad=by_wheels * block.dt_s), 0.5)
     assert found.noise_rad_s is not None and found.blind is not None
-    assert found.noise_rad_s[:3] == pytest.approx(INSIDE_STD * 0.5) and found.rate_rad_s[:3] == pytest.approx(
-        -0.1
+    assert found.noise_rad_s[:3] == pytest.approx(INSIDE_STD * 0.5)
+    assert found.rate_rad_s[:3] == pytest.approx(np.array([-0.5, 0.2, 0.5]) - 0.1), (
+        'the wheels, within the band'
     )
     assert not found.noise_rad_s[6:].any() and not found.rate_rad_s[6:].any()
     np.testing.assert_array_equal(found.noise_rad_s > 0.0, found.blind)
@@ -302,9 +305,11 @@ def test_corrections_of_all_effects_add_up() -> None:
     assert [place for _, place in placed(effects, 'wheels')] == [slice(1, 2)]
     total = correct(gyro, block, values, (None,) * 3)
     wx, wy, wz = block.rate_rad_s.T
-    valid, zero = ~np.asarray(term('rate_deadband', block, 0.5).blind), np.zeros(12)
+    dead, zero = term('rate_deadband', block, 0.5), np.zeros(12)
+    valid = ~np.asarray(dead.blind)
     assert 0 < valid.sum() < 12
-    np.testing.assert_allclose(total.rate_rad_s, np.where(valid, 0.1 * wz + 0.02 * wx - 0.03 * wy, -wz))
+    added = 0.1 * wz + 0.02 * wx - 0.03 * wy
+    np.testing.assert_allclose(total.rate_rad_s, np.where(valid, added, dead.rate_rad_s))
     np.testing.assert_allclose(total.by_values, valid[:, None] * np.stack([wz, zero, wx, wy, zero], axis=1))
     np.testing.assert_array_equal(np.asarray(total.noise_rad_s) == 0.0, valid)
     np.testing.assert_array_equal(total.valid, valid)

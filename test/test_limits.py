@@ -69,7 +69,7 @@ class TestSaturationInReadings:
     def test_readings_pile_up_at_a_limit(self, side: float) -> None:
         rate = deg(120.0) * np.sin(2.0 * np.pi * np.arange(6000) / HZ / 20.0)
         found = top_of(readings(side * np.clip(rate, -deg(200.0), TOP) + noise(6000, 0.05), HZ))
-        assert found == pytest.approx(deg(120.0), rel=0.02), 'the other side reaches further'
+        assert found is None, 'the other side reaches further, and no limit stops it'
         both = top_of(readings(side * np.clip(rate, -TOP, TOP) + noise(6000, 0.05), HZ))
         assert both == pytest.approx(TOP, rel=1e-3)
 
@@ -84,6 +84,13 @@ class TestSaturationInReadings:
     def test_readings_have_to_stay_at_the_limit(self, part: float, is_limit: bool) -> None:
         rate = noise(6000, 5.0)
         rate[: OUTLIERS + int(part * MIN_TOP_S * HZ)] = TOP
+        assert (top_of(readings(rate, HZ)) is not None) == is_limit
+
+    @pytest.mark.parametrize(('wander_deg_s', 'is_limit'), [(0.0, True), (1.0, False)])
+    def test_a_limit_lets_no_reading_pass(self, wander_deg_s: float, is_limit: bool) -> None:
+        """A robot that likes one rate holds it less exactly than a limit holds its readings."""
+        wander = deg(wander_deg_s) * np.sin(np.arange(1500) / HZ)
+        rate = np.concatenate([noise(6000, 5.0), TOP + wander + noise(1500, 0.1, seed=3)])
         assert (top_of(readings(rate, HZ)) is not None) == is_limit
 
     def test_outliers_beyond_the_limit_are_ignored(self) -> None:

@@ -78,5 +78,11 @@ def test_the_drift_by_noise_adds_all_its_sources() -> None:
     rate, walk = math.radians(gyro.rate_noise_deg_s), math.radians(gyro.bias_walk_deg_s)
     expected = 2.0 * 0.001**2 + rate**2 * span_s + walk**2 * span_s**3 / 3.0 + (1e-4 * span_s) ** 2
     assert drift_by_noise_deg(run, drift) == pytest.approx(math.degrees(math.sqrt(expected)), rel=0.01)
+    unread = np.where((history.time_s > 65.0) & (history.time_s < 67.5), 1e-3, 0.0)
+    blind = replace(run, history=replace(history, unobserved_turn_std_rad=unread))
+    whole = (unread.sum() ** 2) * np.mean((drift.start_s < 65.0) & (drift.start_s + span_s > 67.5))
+    assert drift_by_noise_deg(blind, drift) == pytest.approx(
+        math.degrees(math.sqrt(expected + whole)), rel=0.01
+    )
     none = BlindDrift(span_s, np.empty(0), np.empty(0), 'slam')
     assert math.isnan(drift_by_noise_deg(run, none))

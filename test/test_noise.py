@@ -26,6 +26,7 @@ from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
 from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
+from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
@@ -85,8 +86,9 @@ def runner(source: Source) -> Callable[[SensorModel, tuple[Effect, ...]], Run]:
 
 
 def diagnosed(source: Source) -> Diagnosis:
-    recorded = summarise_recording(source)
-    return diagnose(find_missing(default_model(), recorded, runner(source)), recorded)
+    recorded, run = summarise_recording(source), runner(source)
+    searched = find_missing(default_model(), recorded, run)
+    return diagnose(name_unknown(searched, recorded, run), recorded)
 
 
 @pytest.mark.parametrize('name', SIZES)

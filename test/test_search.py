@@ -32,7 +32,7 @@ from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.search import continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
-from gyrocal_ros.effects.traits import has_impossible_sign, is_limit, may_break_the_filter
+from gyrocal_ros.effects.traits import has_impossible_sign, is_bias_walk, is_limit, may_break_the_filter
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
@@ -47,7 +47,9 @@ STD = 0.01
 """Final standard deviation of every coefficient."""
 MIN_GAIN = DEFAULT_SETTINGS.min_predictive_gain
 RECOVERING = {
-    name for name, effect in EFFECTS.items() if may_break_the_filter(effect) and not is_limit(effect)
+    name
+    for name, effect in EFFECTS.items()
+    if is_bias_walk(effect) or (may_break_the_filter(effect) and not is_limit(effect))
 }
 """Effects that are tried where the filter diverges."""
 
@@ -554,6 +556,7 @@ class TestLimits:
             'focal_length',
             'radial_distortion',
             'gyro_lag',
+            'bias_instability',
         } == RECOVERING
 
     @pytest.mark.parametrize(('gained', 'is_found'), [(1e6, True), (1.0, False)])

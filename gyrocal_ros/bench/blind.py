@@ -26,11 +26,12 @@ from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.traits import scanned_coefficient
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import FilterDivergedError
-from gyrocal_ros.model.sensor import SensorModel, with_means
+from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -167,10 +168,13 @@ def run_blind(
     source, config = preload(StoredImages(simulated), config, present)
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = summarise_recording(source)
+
+    def calibrated(model: SensorModel, tried: tuple[Effect, ...]) -> Run:
+        return run(model, candidates=tried)
+
     try:
-        searched = find_missing(
-            present, recorded, lambda model, tried: run(model, candidates=tried), settings=settings
-        )
+        searched = find_missing(present, recorded, calibrated, settings=settings)
+        searched = name_unknown(searched, recorded, calibrated)
     except FilterDivergedError:
         searched = None
 

@@ -24,6 +24,7 @@ from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.report.describe import (
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> None:
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
         recorded = summarise_recording(runs.source)
-        searched = find_missing(model, recorded, runs.calibrate)
+        searched = name_unknown(find_missing(model, recorded, runs.calibrate), recorded, runs.calibrate)
         diagnosis = diagnose(searched, recorded)
         if folder is not None:
             # Only a page needs the plotting library.

@@ -15,6 +15,7 @@ closed_forms     from a curve to its law        predictive_gain  predictive log-
 model_fit        whether a model fits at all    learning         run the likeliest, keep what helps
 timing           faults of the time stamps      learned_laws     what was learned, for people
 rewriting        learned laws in closed form     bump_fit         from a map to its bump
+unknown_law      which law is left unexplained   recovery         runs where the filter diverges
 
 Numbers for reports and pages: run_series, search_series, model_series, error_curves, wander, json_summary.
 No module knows an effect by name: effects declare their properties (`effects.traits`).

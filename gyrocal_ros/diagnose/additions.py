@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -196,6 +196,15 @@ class Search:
         helped = [item.after for item in self.additions if item.is_kept]
         versions = [self.first, *helped, *(item.after for item in self.removals)]
         return max(versions, key=lambda examined: examined.model.version)
+
+    def with_last(self, examined: ExaminedModel) -> Search:
+        """Return the search with another examination of its last model."""
+        last = self.last
+        if last is self.first:
+            return replace(self, first=examined)
+        additions = [replace(item, after=examined) if item.after is last else item for item in self.additions]
+        removals = [replace(item, after=examined) if item.after is last else item for item in self.removals]
+        return replace(self, additions=tuple(additions), removals=tuple(removals))
 
 
 def addition(before: ExaminedModel, after: ExaminedModel) -> Addition:

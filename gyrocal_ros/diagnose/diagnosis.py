@@ -62,6 +62,11 @@ class MissingEffect:
         """Names of the coefficients."""
         return coefficient_names(self.effect)
 
+    @property
+    def is_unusual_noise(self) -> bool:
+        """True for a noise that is far larger than that of any usual gyro."""
+        return is_noise(self.effect) and is_unusual(self.effect, float(self.values[0]))
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Diagnosis:
@@ -97,13 +102,14 @@ class Diagnosis:
     @property
     def unusual_noise(self) -> list[str]:
         """Names of missing noises that are far larger than those of any usual gyro."""
-        noises = [item for item in self.missing if is_noise(item.effect)]
-        return [item.effect.name for item in noises if is_unusual(item.effect, float(item.values[0]))]
+        return [item.effect.name for item in self.missing if item.is_unusual_noise]
 
 
 def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
     """Draw the conclusions from a search."""
     missing = sorted(_missing(searched), key=lambda item: item.gain, reverse=True)
+    if searched.last.unexplained_structure is not None:  # a noise that no gyro has stood for it
+        missing = [item for item in missing if not item.is_unusual_noise]
     least = searched.last.settings.min_predictive_gain
     refuted = [item.effect.name for item in searched.additions if item.predictive_gain < least]
     return _conclude(searched.first, searched.last, missing, recording, refuted)

@@ -15,6 +15,7 @@ from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import RankedEffect, rank, with_estimate, without_disturbed
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, confirmed, unexplained_structure
+from gyrocal_ros.effects.traits import is_noise, is_unusual
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.scatter import scatter_of
 from gyrocal_ros.ekf.score_statistics import ScoreStatistics
@@ -79,6 +80,13 @@ def examine(
 def contradicts(examined: ExaminedModel) -> bool:
     """Return True if the recording contradicts a model, whatever it lacks."""
     return examined.unexplained_structure is not None or model_fit(examined.run).fits is False
+
+
+def unusual_noises(model: SensorModel) -> list[Effect]:
+    """Return the noises of a model that no gyro has: with these it owes its fit to the filter alone."""
+    return [
+        item for item in model.effects if is_noise(item) and is_unusual(item, item.coefficients[0].prior_mean)
+    ]
 
 
 def gain_of_run(present: ExaminedModel, model: SensorModel, calibrate: Calibrate) -> float:

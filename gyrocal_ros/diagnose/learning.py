@@ -9,7 +9,14 @@ from dataclasses import dataclass, replace
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both, drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
+from gyrocal_ros.diagnose.examined import (
+    Calibrate,
+    ExaminedModel,
+    contradicts,
+    examine,
+    unusual_noises,
+    with_effect,
+)
 from gyrocal_ros.diagnose.hypotheses import (
     Law,
     RankedLaw,
@@ -105,15 +112,24 @@ def _learned(
 
 
 def is_missing_something(present: ExaminedModel) -> bool:
-    """Return True if the recording contradicts a model, whatever it lacks; not where stamps are at fault."""
-    return contradicts(present) and timing_fault(present) is None
+    """Return True if a model lacks something, whatever it is; not where stamps are at fault.
+
+    Where the recording does not contradict it, it may owe that to a noise that no gyro has.
+    """
+    lacks = bool(unusual_noises(present.model)) or contradicts(present)
+    return lacks and timing_fault(present) is None
 
 
 def likeliest_law(
     present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate
 ) -> Addition | None:
-    """Run the filter with the likeliest laws; return the one that predicts best, kept or not."""
-    tried = laws(present.run, recording.ranges)
+    """Run the filter with the likeliest laws; return the one that predicts best, kept or not.
+
+    Beside a noise that no gyro has, a jump is no law: it is one of many that the noise stands for.
+    """
+    may_jump = not unusual_noises(present.model)
+    found = laws(present.run, recording.ranges)
+    tried = [law for law in found if may_jump or not isinstance(law.effect, Step)]
     if not tried:
         return None
     return _best(_rivals(present, _rank(present, tried, calibrate), recording, calibrate))

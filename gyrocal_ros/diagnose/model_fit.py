@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import seconds
+from gyrocal_ros.data import Array, seconds
 from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, loses_its_map
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
@@ -65,8 +65,8 @@ def excess_nis(run: Run) -> float:
 def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     """Return the rms blind drift that noise explains; NaN where there is no span.
 
-    It adds the headings at both ends, the white noise and the bias walk of the gyro, and the uncertainty of
-    bias and coefficients at the beginning of each span.
+    It adds the headings at both ends, the white noise and the bias walk of the gyro, turns that it could not
+    read, and the uncertainty of bias and coefficients at the beginning of each span.
     """
     history = run.history
     noise = yaw_noise_of(run.model, run.config.gyro, history.turn_rad / history.dt_s)
@@ -79,11 +79,25 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     variance = history.std[first, YAW] ** 2 + history.std[last, YAW] ** 2
     white = np.cumsum(np.where(moving, noise.density_rad_s**2 * history.gyro_valid_s, 0.0))
     variance += white[last] - white[first]
+    unread = np.cumsum(_unread_variance(np.where(moving, history.unobserved_turn_std_rad, 0.0)))
+    variance += unread[last] - unread[first]
     variance += noise.bias_walk_rad_s**2 * span_s**3 / 3.0
     variance += (history.std[first, YAW_BIAS] * span_s) ** 2
     by_coefficients = (columns[last] - columns[first]) * history.std[first, COEFFICIENTS_START:]
     variance += np.sum(by_coefficients**2, axis=1)
     return float(np.degrees(np.sqrt(np.mean(variance)))) if len(variance) else math.nan
+
+
+def _unread_variance(unread_rad: Array) -> Array:
+    """Return the variance (s,) of turns whose error (s,) is one and the same from step to step.
+
+    It is counted at the last step of each stretch of them.
+    """
+    total_rad, is_unread = np.cumsum(unread_rad), unread_rad > 0.0
+    ends = np.flatnonzero(is_unread & ~np.append(is_unread[1:], False))
+    variance = np.zeros_like(unread_rad)
+    variance[ends] = np.diff(total_rad[ends], prepend=0.0) ** 2
+    return variance
 
 
 def _misfits(run: Run, scatter: Scatter, drift_deg: float, by_noise_deg: float) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from contextlib import suppress
 
 import numpy as np
@@ -13,15 +14,24 @@ from gyrocal_ros.diagnose.late_images import late_images
 from gyrocal_ros.diagnose.limits import detected_limits
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import has_impossible_sign, is_limit, may_break_the_filter, strengths
+from gyrocal_ros.effects.traits import (
+    has_impossible_sign,
+    is_bias_walk,
+    is_limit,
+    is_unusual,
+    may_break_the_filter,
+    strengths,
+)
 from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
-from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.statistics import nis_per_dof
 
 BROKEN_NIS, MENDED_PART = 100.0, 0.1
 """NIS per degree of freedom of a run that is as good as diverged: innovations of ten standard deviations.
 What breaks it has to leave less than this part of it."""
+STRIDE = 3
+"""Distance of the sizes of a walk of the bias that are tried."""
 
 
 def first_run(
@@ -70,13 +80,13 @@ def _recover(
 ) -> Addition | None:
     """Find the effect whose absence makes the filter diverge: the one with which it runs best, or None.
 
-    Late images look like a gyro that reads ahead of time. An effect with such a sign is only taken where the
-    filter runs with no other.
+    With a walk of the bias it follows a law that no effect has, however large. Late images look like a gyro
+    that reads ahead of time. An effect with such a sign is only taken where the filter runs with no other.
     """
     present = {effect.name for effect in model.effects}
     others = [item for item in EFFECTS.values() if may_break_the_filter(item) and not is_limit(item)]
     found: list[tuple[bool, float, Effect]] = []
-    for effect in [*detected_limits(model, recording.readings), *others]:
+    for effect in [*detected_limits(model, recording.readings), *others, *_walks()]:
         if effect.name in present:
             continue
         with suppress(*CANNOT_RUN):
@@ -89,6 +99,14 @@ def _recover(
         return None
     *_, best = max(found, key=lambda item: item[:2])
     return _recovered_with(best, model, recording, calibrate, settings)
+
+
+def _walks() -> Iterator[Effect]:
+    """Yield walks of the bias that no gyro has, with which the filter follows whatever it does."""
+    for effect in EFFECTS.values():
+        if is_bias_walk(effect):
+            sizes = [size for size in effect.coefficients[0].scan if is_unusual(effect, size)]
+            yield from (with_means(effect, (size,)) for size in sizes[::STRIDE])
 
 
 def _recovered_with(

@@ -43,8 +43,8 @@ HEADING_KNOTS_DEG = np.arange(-180.0, 180.0, 60.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shape:
-    """The rate error of a run as a function of one signal."""
+class ErrorShape:
+    """The rate error as a function of one signal."""
 
     signal: str
     of_scale: bool
@@ -54,6 +54,12 @@ class Shape:
     values: Array
     stds: Array
     """(k,) error at the knots relative to the first one, and its standard deviation."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Shape(ErrorShape):
+    """That of a run, as it was fitted to the headings."""
+
     columns: Array
     """(s, q) rate error of each step per unit of what was fitted, an error of the scale factor included."""
     fit: Fit
@@ -68,7 +74,7 @@ class UnexplainedStructure:
     gain: float
     """Log-likelihood that knowing it would gain."""
     sigma: float
-    shape: Shape
+    shape: ErrorShape
     at_s: float | None = None
     """Moment of the jump, if it is a jump of the bias."""
 

@@ -44,7 +44,7 @@ _WIDTHS_RAD_S = tuple(math.radians(width) for width in (0.1, 0.2, 0.3, 0.4, 0.5)
 
 @dataclass(frozen=True)
 class RateDeadband:
-    """Rates below `width` are read as zero: the true rate is anywhere in the band.
+    """Rates below `width` are read as zero: the true rate is anywhere in the band, and the wheels tell more.
 
     As with saturation, the width is detected in the readings and not estimated.
     """
@@ -74,13 +74,14 @@ class RateDeadband:
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Set the rate to zero within the band, with the standard deviation that it has there."""
-        rate = block.rate_rad_s[:, 2]
-        inside = _is_inside(rate, values[0])
+        """Replace the rate within the band by that of the wheels, as far as it is within, too."""
+        rate, width = block.rate_rad_s[:, 2], values[0]
+        inside = _is_inside(rate, width)
+        by_wheels = np.clip(block.wheel_turn_rad / block.dt_s, -width, width)
         return GyroTerm(
-            np.where(inside, -rate, 0.0),
+            np.where(inside, by_wheels - rate, 0.0),
             np.zeros((len(rate), 1)),
-            noise_rad_s=np.where(inside, INSIDE_STD * values[0], 0.0),
+            noise_rad_s=np.where(inside, INSIDE_STD * width, 0.0),
             blind=inside,
         )
 

@@ -24,6 +24,8 @@ MIN_TOP_S = 0.5
 """Minimum time with readings at the largest one for a limit to be possible."""
 OUTLIERS = 20
 """Number of largest readings that are ignored: noise on top of a limit."""
+PASSED_SIGMA = 5.0
+"""Standard deviations of the noise beyond which a reading has passed a limit: then it is none."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,10 @@ class RateSaturation:
         at_top = size[size > top]
         if len(at_top) <= OUTLIERS + MIN_TOP_S * rate_hz:
             return None
-        return DetectedLimit(float(np.median(at_top)), is_certain=False)
+        limit = float(np.median(at_top))
+        if any(_passed(side * readings.rate_rad_s, limit) > OUTLIERS for side in (1.0, -1.0)):
+            return None
+        return DetectedLimit(limit, is_certain=False)
 
     def rate_error(self, rate_rad_s: Array, limit: float) -> tuple[Array, Array]:
         """Return the sign of readings at the limit: there the turn is underestimated by an unknown amount."""
@@ -96,3 +101,14 @@ class RateSaturation:
     def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
         """Return True: no reading can contradict the limit."""
         return True
+
+
+def _passed(rate_rad_s: Array, limit: float) -> int:
+    """Return the number of readings (n,) of one side that exceed its limit, which is about that of both."""
+    is_top = rate_rad_s > TOP_PART * limit
+    steps = np.diff(rate_rad_s)[is_top[1:] & is_top[:-1]]
+    if not len(steps):
+        return 0
+    noise_rad_s = math.sqrt(0.5 * float(np.mean(steps**2)))
+    own_limit = float(np.median(rate_rad_s[is_top]))
+    return int(np.sum(rate_rad_s > own_limit + PASSED_SIGMA * noise_rad_s))

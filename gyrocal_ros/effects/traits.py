@@ -79,6 +79,14 @@ def is_white_noise(effect: Effect) -> bool:
     return bool(np.any(effect.density(np.zeros(1), values) > 0.0))  # type: ignore[attr-defined]
 
 
+def is_bias_walk(effect: Effect) -> bool:
+    """Return True for a noise that makes the bias wander."""
+    if not is_noise(effect):
+        return False
+    values = np.array([item.scan[-1] if item.scan else item.prior_mean for item in effect.coefficients])
+    return bool(effect.bias_walk(values) > 0.0)  # type: ignore[attr-defined]
+
+
 def is_estimated(effect: Effect) -> bool:
     """Return True if the filter estimates the coefficients: not of a limit, and not of a noise."""
     return not is_limit(effect) and not is_noise(effect)

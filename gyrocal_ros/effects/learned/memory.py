@@ -42,7 +42,7 @@ TAUS_S: dict[str, tuple[float, ...]] = {
 """What a memory may be driven by, with its time constants: the rate less its low-pass, and that less its own
 low-pass; the rate; its magnitude; the side of the turn (-1, 0, 1); the side of the last turn, decaying after
 it; whether the wheels move (0, 1); a pulse at power-on."""
-_DRIVES = {
+DRIVES = {
     DYNAMICS: 'the rate less its low-pass, and that less its own',
     RATE: 'the rate',
     ABS_RATE: 'the magnitude of the rate',
@@ -51,6 +51,7 @@ _DRIVES = {
     MOVING: 'whether the wheels move: 0 or 1',
     START: 'a pulse at power-on',
 }
+"""What a memory may be driven by, in words."""
 OF_SCALE = (START, ABS_RATE)
 """Drives of which a scale may be a memory, beside any signal."""
 _SHOWN_AGAINST: dict[str, Stimulus] = {START: 'time', TEMPERATURE: 'temperature'}
@@ -77,7 +78,7 @@ class ExponentialBank(LinearMemoryEffect):
             physics='The sensor remembers: its bias or its scale depends on what was, over a bank of time '
             'constants. A lag, a resonance, hysteresis and slow heating have this form.',
             equation=f'w = w_n + sum_j c_j h_j{" w_n" if self.of == "scale" else ""}, '
-            f'dh_j/dt = (u - h_j) / tau_j, u: {_DRIVES.get(self.follows, self.follows)}',
+            f'dh_j/dt = (u - h_j) / tau_j, u: {DRIVES.get(self.follows, self.follows)}',
             usual_size='as found',
             best_motion='single turns with rests between them',
             source='Wahlberg 1991, System identification using Laguerre models, IEEE Transactions on '

@@ -1,0 +1,148 @@
+"""What a model leaves unexplained, in words: the likeliest law that the library lacks, confirmed by a run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import reduce
+
+import numpy as np
+
+from gyrocal_ros.diagnose import shapes
+from gyrocal_ros.diagnose.additions import Addition, Search
+from gyrocal_ros.diagnose.closed_forms import learned_curve
+from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, unusual_noises, without_effect
+from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood, headings
+from gyrocal_ros.diagnose.learning import MIN_GAIN, is_missing_something, likeliest_law
+from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.noise import LAW_PART
+from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.shapes import ErrorShape, UnexplainedStructure, unexplained_structure
+from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.effects.learned.curve import Curve
+from gyrocal_ros.effects.learned.drives import DYNAMICS, START
+from gyrocal_ros.effects.learned.memory import DRIVES, ExponentialBank
+from gyrocal_ros.effects.learned.place_map import PlaceMap
+from gyrocal_ros.effects.learned.signals import CENTRIPETAL, HEADING, RATE
+from gyrocal_ros.effects.learned.step import Step
+from gyrocal_ros.effects.learned.wave import Wave
+from gyrocal_ros.effects.traits import follows_signal
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.turn_agreement import mounting_fault
+from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary
+
+SHOWN = 10
+"""Distance of the points of a curve that are shown."""
+PLACE = 'place in the map'
+SIGNALS = {
+    RATE: shapes.RATE,
+    HEADING: shapes.HEADING,
+    TEMPERATURE: shapes.TEMPERATURE_C,
+    'time': shapes.TIME,
+    'force_x': shapes.FORCE,
+    'force_y': 'sideways acceleration (m/s^2)',
+    'force_z': 'vertical acceleration (m/s^2)',
+    'yaw_acceleration': 'yaw acceleration (rad/s^2)',
+    'vibration': 'vibration ((m/s^2)^2)',
+    CENTRIPETAL: 'centripetal acceleration (m/s^2)',
+    START: shapes.TIME,
+    DYNAMICS: 'changes of the rate',
+}
+"""Signals that laws follow, in words; others have the name of topic and field."""
+
+
+def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
+    """Return a search whose last model says which law explains best what it leaves unexplained.
+
+    The headings of a run that lacks a law are bent by it, so what they seem to follow may be anything. The
+    full filter weighs every law in one run, and one more run confirms the likeliest. Several wrong effects
+    together may imitate a law: where it predicts as well without them, they are given up.
+
+    Args:
+        searched: a finished search in the library.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+    """
+    last = searched.last
+    is_missing = is_missing_something(last) and not (mounting_fault(last.run) or _is_explained(searched))
+    if not (is_missing or _may_imitate(searched)):
+        return searched
+    beside = likeliest_law(last, recording, calibrate) if is_missing else None
+    alone = likeliest_law(searched.first, recording, calibrate) if last is not searched.first else None
+    best = last.run if beside is None or not beside.is_kept else beside.after.run
+    if alone is not None and alone.is_kept and _gain(best, alone.after.run) > -MIN_GAIN:
+        recovered = [item for item in searched.additions if item.before is None]
+        return _saying(Search(searched.first, tuple(recovered)), alone)
+    # Where the headings show structure, a law that explains but a part of it is nearer to the cause.
+    has_structure = last.unexplained_structure is not None
+    if beside is not None and (beside.is_kept or (has_structure and beside.predictive_gain > MIN_GAIN)):
+        return _saying(searched, beside)
+    behind = _behind_noise(last) if is_missing else None
+    return searched if behind is None else searched.with_last(replace(last, unexplained_structure=behind))
+
+
+def _behind_noise(examined: ExaminedModel) -> UnexplainedStructure | None:
+    """Return what the bias follows in a run with a noise that no gyro has; None where no signal does.
+
+    With the noise the filter follows a slow law as well as with the law, but the headings of the run are
+    right, and with the usual noise they show it.
+    """
+    noises = unusual_noises(examined.model)
+    usual = reduce(without_effect, [effect.name for effect in noises], examined.model)
+    seen, settings = headings(replace(examined.run, model=usual), examined.settings), examined.settings
+    found = unexplained_structure(examined.run, seen, settings) if noises else None
+    gain = heading_log_likelihood(examined.seen) - heading_log_likelihood(seen)
+    is_law = found is not None and found.at_s is None and found.gain > LAW_PART * gain
+    return found if is_law else None
+
+
+def _is_explained(searched: Search) -> bool:
+    """Return True if with the effects that were found the model fits, and owes that to no noise."""
+    last = searched.last
+    is_strange = bool(unusual_noises(last.model))
+    return len(searched.kept) > 0 and not is_strange and model_fit(last.run).fits is not False
+
+
+def _may_imitate(searched: Search) -> bool:
+    """Return True for several effects that follow signals: together they may imitate what none shows."""
+    followers = [item for item in searched.kept if follows_signal(item.effect)]
+    return len(followers) > 1 and len(followers) == len(searched.kept) and timing_fault(searched.last) is None
+
+
+def _gain(before: Run, after: Run) -> float:
+    """Return the predictive log-likelihood that one run gains over another."""
+    return float(predictive_gain(before, after).sum())
+
+
+def _saying(searched: Search, law: Addition) -> Search:
+    """Return a search whose last model leaves a law unexplained."""
+    return searched.with_last(replace(searched.last, unexplained_structure=_structure(law)))
+
+
+def _structure(law: Addition) -> UnexplainedStructure:
+    """Describe a law that a run confirmed."""
+    effect = law.effect
+    kind, _, follows = effect.name.partition(':')
+    of = kind.partition('_')[0]
+    signal = PLACE if isinstance(effect, PlaceMap) else SIGNALS.get(follows, DRIVES.get(follows, follows))
+    at_s, shape = None, ErrorShape(signal, of == 'scale', *np.empty((3, 0)))
+    what = f'the {of} goes with {signal}'
+    values = law.after.estimate_of(effect.name)[0]
+    if isinstance(effect, Step):
+        at_s = effect.at_s
+        what = f'the {of} jumped by {_in_words(of, float(values[0]), "+")} at {at_s:.0f} s'
+    elif isinstance(effect, Wave):
+        amplitude = _in_words(of, float(np.hypot(values[0], values[len(values) // 2])))
+        what = f'the {of} oscillates with an amplitude of {amplitude} and a period of {effect.period_s:.1f} s'
+    elif isinstance(effect, ExponentialBank) and follows not in (START, DYNAMICS):
+        what = f'the {of} goes with earlier values of {signal}'
+    if isinstance(effect, Curve):
+        learned = learned_curve(law.after, effect)
+        every = slice(None, None, SHOWN)
+        shape = replace(shape, knots=learned.x[every], values=learned.y[every], stds=learned.std[every])
+    return UnexplainedStructure(what, law.predictive_gain, law.sigma, shape, at_s)
+
+
+def _in_words(of: str, size: float, sign: str = '') -> str:
+    """Return the size of a change of the scale (1), or of the bias (rad/s)."""
+    return f'{100.0 * size:{sign}.2f} %' if of == 'scale' else f'{math.degrees(size):{sign}.3f} deg/s'

@@ -1,0 +1,147 @@
+"""Unknown laws by name: the law that explains best what a model leaves unexplained."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose import unknown_law
+from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.examined import unusual_noises, with_effect
+from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.status import diagnosis_status
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.unknown_law import name_unknown
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
+from gyrocal_ros.sim.hidden import DrawnEffect, hide
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.world import SimSource
+
+DEG = math.radians(1.0)
+
+
+def diagnosed(name: str, values: tuple[float, ...], seconds: float = 80.0) -> Diagnosis:
+    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=4)
+    hidden = hide((DrawnEffect(name, values),), find_effect)
+    source, config = preload(SimSource(scenario, 1, hidden=hidden), Config(), default_model())
+    recorded = summarise_recording(source)
+
+    def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        return calibrate(source, config, model, candidates=candidates)
+
+    return diagnose(name_unknown(find_missing(default_model(), recorded, run), recorded, run), recorded)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ('name', 'values', 'signal'),
+    [
+        ('stranger_heading', (1.2 * DEG, 0.7), 'heading in the map (deg)'),
+        ('stranger_scale_heading', (0.03, 0.5), 'heading in the map (deg)'),
+    ],
+    ids=['so large that the filter diverges', 'whose headings seem to follow the time'],
+)
+def test_the_signal_of_an_unknown_law_is_named(name: str, values: tuple[float, ...], signal: str) -> None:
+    found = diagnosed(name, values)
+    assert found.verdict == 'unexplained' and found.missing == ()
+    assert found.unexplained is not None and found.unexplained.shape.signal == signal
+    status = diagnosis_status(found)
+    assert status.level == 'red' and f'goes with {signal}' in status.sentence
+
+
+def law(effect: Effect, *values: float) -> Any:
+    """An effect that was learned, with these estimates."""
+    estimates = np.array(values or np.zeros(len(effect.coefficients)))
+    after = SimpleNamespace(estimate_of=lambda name: (estimates, estimates))
+    return SimpleNamespace(effect=effect, after=after, predictive_gain=90.0, sigma=8.0)
+
+
+@pytest.mark.parametrize(
+    ('found', 'what', 'signal'),
+    [
+        (law(place_map()), 'the bias goes with place in the map', 'place in the map'),
+        (
+            law(memory('scale', 'start')),
+            'the scale goes with time since the start (s)',
+            'time since the start (s)',
+        ),
+        (
+            law(memory('bias', 'abs_rate')),
+            'the bias goes with earlier values of the magnitude of the rate',
+            'the magnitude of the rate',
+        ),
+        (
+            law(memory('bias', 'dynamics')),
+            'the bias goes with changes of the rate',
+            'changes of the rate',
+        ),
+        (
+            law(step('bias', at_s=41.0), 0.3 * DEG),
+            'the bias jumped by +0.300 deg/s at 41 s',
+            'time since the start (s)',
+        ),
+        (
+            law(wave('scale', period_s=23.0), 0.03, 0.0, 0.0, 0.04, 0.0, 0.0),
+            'the scale oscillates with an amplitude of 5.00 % and a period of 23.0 s',
+            'time since the start (s)',
+        ),
+    ],
+)
+def test_a_law_in_words(found: Any, what: str, signal: str) -> None:
+    structure = unknown_law._structure(found)
+    assert structure.what == what and structure.shape.signal == signal
+    assert structure.shape.of_scale == what.startswith('the scale')
+    assert structure.at_s == (41.0 if 'jumped' in what else None)
+    assert structure.gain == 90.0 and structure.sigma == 8.0 and len(structure.shape.knots) == 0
+
+
+def test_a_curve_is_shown_over_its_signal(monkeypatch: pytest.MonkeyPatch) -> None:
+    x: Array = np.linspace(0.0, 1.0, 101)
+    learned = SimpleNamespace(x=x, y=2.0 * x, std=0.1 + 0.0 * x)
+    monkeypatch.setattr(unknown_law, 'learned_curve', lambda after, effect: learned)
+    shape = unknown_law._structure(law(curve('bias', 'force_y', 0.0, 1.0))).shape
+    assert shape.signal == 'sideways acceleration (m/s^2)' and not shape.of_scale
+    np.testing.assert_allclose(shape.values, 2.0 * shape.knots)
+    assert len(shape.knots) == 11 and np.all(shape.stds == 0.1)
+
+
+def test_only_effects_that_all_follow_signals_may_imitate_a_law(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unknown_law, 'timing_fault', lambda examined: None)
+
+    def may_imitate(*names: str) -> bool:
+        kept = [SimpleNamespace(effect=find_effect(name)) for name in names]
+        return unknown_law._may_imitate(SimpleNamespace(kept=kept, last=None))  # type: ignore[arg-type]
+
+    voltage, current = (f'covariate_scale:battery_state.{name}' for name in ('voltage', 'current'))
+    assert may_imitate(voltage, current)
+    assert not may_imitate(voltage) and not may_imitate(voltage, current, 'scale_cubic')
+
+
+@pytest.mark.parametrize(('part_of_typical', 'count'), [(1.0, 0), (4.9, 0), (5.1, 1)])
+def test_a_model_with_a_noise_that_no_gyro_has(part_of_typical: float, count: int) -> None:
+    noise = find_effect('bias_instability')
+    usual = noise.coefficients[0].typical
+    assert usual is not None
+    model = with_effect(default_model(), with_means(noise, (part_of_typical * usual.high,)))
+    assert len(unusual_noises(model)) == count
+
+
+def test_where_nothing_is_missing_no_law_is_sought(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(unknown_law, 'is_missing_something', lambda examined: False)
+    monkeypatch.setattr(unknown_law, '_may_imitate', lambda searched: False)
+    first: Any = SimpleNamespace(model=default_model())
+    searched = Search(first, ())
+    assert name_unknown(searched, None, None) is searched  # type: ignore[arg-type]

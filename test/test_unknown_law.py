@@ -72,7 +72,7 @@ def law(effect: Effect, *values: float) -> Any:
 @pytest.mark.parametrize(
     ('found', 'what', 'signal'),
     [
-        (law(place_map()), 'the bias goes with place in the map', 'place in the map'),
+        (law(place_map()), 'the bias goes with the place in the map', 'the place in the map'),
         (
             law(memory('scale', 'start')),
             'the scale goes with time since the start (s)',

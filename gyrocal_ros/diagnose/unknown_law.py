@@ -33,7 +33,7 @@ from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary
 
 SHOWN = 10
 """Distance of the points of a curve that are shown."""
-PLACE = 'place in the map'
+PLACE = 'the place in the map'
 SIGNALS = {
     RATE: shapes.RATE,
     HEADING: shapes.HEADING,

@@ -305,11 +305,11 @@ def test_corrections_of_all_effects_add_up() -> None:
     assert [place for _, place in placed(effects, 'wheels')] == [slice(1, 2)]
     total = correct(gyro, block, values, (None,) * 3)
     wx, wy, wz = block.rate_rad_s.T
-    dead, zero = term('rate_deadband', block, 0.5), np.zeros(12)
-    valid = ~np.asarray(dead.blind)
+    valid, zero = ~np.asarray(term('rate_deadband', block, 0.5).blind), np.zeros(12)
     assert 0 < valid.sum() < 12
     added = 0.1 * wz + 0.02 * wx - 0.03 * wy
-    np.testing.assert_allclose(total.rate_rad_s, np.where(valid, added, dead.rate_rad_s))
+    by_wheels = np.clip(block.wheel_turn_rad / block.dt_s, -0.5, 0.5)
+    np.testing.assert_allclose(total.rate_rad_s, np.where(valid, added, by_wheels - wz))
     np.testing.assert_allclose(total.by_values, valid[:, None] * np.stack([wz, zero, wx, wy, zero], axis=1))
     np.testing.assert_array_equal(np.asarray(total.noise_rad_s) == 0.0, valid)
     np.testing.assert_array_equal(total.valid, valid)

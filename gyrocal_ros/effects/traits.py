@@ -75,16 +75,17 @@ def is_white_noise(effect: Effect) -> bool:
     """Return True for a noise that makes the readings scatter at any rate: no walk of the bias."""
     if not is_noise(effect):
         return False
-    values = np.array([item.scan[-1] if item.scan else item.prior_mean for item in effect.coefficients])
-    return bool(np.any(effect.density(np.zeros(1), values) > 0.0))  # type: ignore[attr-defined]
+    return bool(np.any(effect.density(np.zeros(1), _largest(effect)) > 0.0))  # type: ignore[attr-defined]
 
 
 def is_bias_walk(effect: Effect) -> bool:
     """Return True for a noise that makes the bias wander."""
-    if not is_noise(effect):
-        return False
-    values = np.array([item.scan[-1] if item.scan else item.prior_mean for item in effect.coefficients])
-    return bool(effect.bias_walk(values) > 0.0)  # type: ignore[attr-defined]
+    return is_noise(effect) and bool(effect.bias_walk(_largest(effect)) > 0.0)  # type: ignore[attr-defined]
+
+
+def _largest(noise: Effect) -> Array:
+    """Return the coefficients (k,) of a noise at its largest size."""
+    return np.array([item.scan[-1] if item.scan else item.prior_mean for item in noise.coefficients])
 
 
 def is_estimated(effect: Effect) -> bool:

@@ -38,7 +38,7 @@ SCALES = np.array([0.01, 0.001, 0.003, 40.0, 0.01, 0.005, 0.005, 0.003])
 K, C = len(VALUES), 6
 INVERSE_DEPTH = PARAMETRISATIONS['inverse_depth']
 DIRECTIONS = bearing(CAMERA, PIXELS)
-QUIET_GYRO = replace(GyroConfig(), rate_noise_deg_s=0.0, bias_walk_deg_s=0.0)
+QUIET_GYRO = replace(GyroConfig(), rate_noise_deg_s=0.0, bias_walk_deg_s=0.0, tilt_scale_std=0.0)
 QUIET_WHEELS = WheelConfig(0.0, 0.0, 0.0, 0.0)
 
 

@@ -68,7 +68,7 @@ def carry(rng: np.random.Generator, count: int, eventful: bool = True) -> Argume
     correction = Correction(rng.normal(size=n), rng.normal(size=(n, k)), 0.0, ())
     added = MotionContribution(correction, 0.0, None, 0.0, None)
     of_wheels = (0.01, 0.02, 0.03, 0.04)
-    noise = BlockNoise(3e-4, 4e-4, 0.0, 0.0, of_wheels, 0.0, 1e-4, 2e-4, np.zeros(k), 0.1)
+    noise = BlockNoise(np.full(2, 3e-4), 4e-4, 0.0, 0.0, of_wheels, 0.0, 1e-4, 2e-4, np.zeros(k), 0.1)
     if eventful:
         correction = changed(correction, valid=(rng.uniform(size=n) < 0.8).astype(float))
         wheels = 0.1 * of_interval, rng.normal(size=(n, k))

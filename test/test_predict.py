@@ -143,6 +143,22 @@ def test_another_rate_leaves_the_biases_of_the_x_and_y_gyros_less_known() -> Non
     np.testing.assert_allclose(added, [(0.5 * MISALIGNMENT_RAD) ** 2] * 2 + [0.0], rtol=1e-6)
 
 
+def test_the_x_and_y_gyros_miss_a_part_of_a_tilt() -> None:
+    """Of a turn about x or y, as a whole; their noise, which changes sign, adds nothing."""
+    tilting = replace(eventful_block(), rate_rad_s=np.tile([0.3, -0.2, 0.0], (12, 1)))
+    level = replace(initial_state(MODEL, Config(), None), t_ns=tilting.start_ns)
+    assert np.all(level.euler_rad == 0.0) and np.all(level.bias_rad_s == 0.0)
+    gyro = replace(QUIET_GYRO, tilt_scale_std=0.1)
+    noise = added_noise(tilting, gyro, QUIET_WHEELS)[EULER, EULER]
+    tilt_rad = np.array([0.3, -0.2, 0.0]) * tilting.dt_s.sum()
+    # The second half of the tilt turns about axes that the first has tilted.
+    np.testing.assert_allclose(np.sqrt(noise.diagonal()), 0.1 * np.abs(tilt_rad), rtol=0.01, atol=1e-3)
+    shaking = replace(
+        tilting, dt_s=np.full(12, 0.01), rate_rad_s=tilting.rate_rad_s * (-1.0) ** np.arange(12)[:, None]
+    )
+    assert np.abs(added_noise(shaking, gyro, QUIET_WHEELS)[EULER, EULER]).max() < 1e-12
+
+
 def test_gaps_add_covariance() -> None:
     block = replace(eventful_block(), gap_s=2.0, wheel_gap_s=0.5)
     noise = added_noise(block, QUIET_GYRO, QUIET_WHEELS)

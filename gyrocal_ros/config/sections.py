@@ -31,6 +31,16 @@ class GyroConfig:
         high=1.0,
         live=True,
     )
+    tilt_scale_std: float = setting(
+        0.1,
+        '1',
+        'standard deviation of the scale factors of the x and y gyros, which are not estimated: over a door '
+        'sill they miss a part of the tilt; about twice the tolerance, since several images in a row miss '
+        'the same part',
+        low=0.0,
+        high=1.0,
+        live=True,
+    )
     scale_walk: float = setting(
         1e-6,
         '1/sqrt(s)',

@@ -115,7 +115,7 @@ def predict(
         block,
         rate,
         _differentiated(added, block, steady, model, state, memories, rate),
-        _noise_of(block, model, correction.unread_rad(block.dt_s)),
+        _noise_of(block, model, rate, correction.unread_rad(block.dt_s)),
         bias,
         bias_kept,
     )
@@ -267,8 +267,15 @@ def predict_sensitivity(
     return changed(state, sensitivity=sensitivity), kept
 
 
-def _noise_of(block: MotionBlock, model: FilterModel, unknown_rad: float) -> BlockNoise:
-    """Return the noise of a block in which the gyro could not read some of the turn."""
+def _noise_of(block: MotionBlock, model: FilterModel, rate_rad_s: Array, unknown_rad: float) -> BlockNoise:
+    """Return the noise of a block.
+
+    Args:
+        block: of N intervals.
+        model: noise and effects.
+        rate_rad_s: (N, 3) corrected body rates.
+        unknown_rad: standard deviation of the turn that the gyro could not read.
+    """
     gyro, wheels, effects = model.gyro, model.wheels, model.effects
     density, walk = math.radians(gyro.rate_noise_deg_s), math.radians(gyro.bias_walk_deg_s)
     yaw_density: Array | float = density
@@ -280,8 +287,10 @@ def _noise_of(block: MotionBlock, model: FilterModel, unknown_rad: float) -> Blo
         walks = walks.copy()
         walks[0] = math.hypot(walks[0], gyro.scale_walk)
     tilt_walk = math.hypot(walk, MISALIGNMENT_RAD * model.rate_change_rad_s / math.sqrt(block.duration_s))
+    tilt_rad = block.dt_s @ rate_rad_s[:, :2]
+    tilt_density = density if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s
     return BlockNoise(
-        density if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s,
+        np.hypot(tilt_density, gyro.tilt_scale_std * tilt_rad / math.sqrt(block.duration_s)),
         yaw_density,
         math.radians(gyro.gap_rate_std_deg_s) * block.gap_s,
         unknown_rad,

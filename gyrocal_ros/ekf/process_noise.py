@@ -29,8 +29,8 @@ class YawNoise:
 class BlockNoise:
     """Noise of gyro and wheels in one block of N intervals."""
 
-    tilt_density_rad_s: Array | float
-    """(2,) densities of the white noise of the x and y gyros, or one for both, rad/s/sqrt(Hz)."""
+    tilt_density_rad_s: Array
+    """(2,) densities of the white noise of the x and y gyros, rad/s/sqrt(Hz)."""
     yaw_density_rad_s: Array | float
     """(N,) the same of the yaw gyro, or one for all intervals."""
     gap_rad: float
@@ -96,7 +96,7 @@ def process_noise(
         distance_m: (N,) by the wheels.
     """
     density = np.empty((3, len(dt_s)))
-    density[:2] = np.reshape(noise.tilt_density_rad_s, (-1, 1))
+    density[:2] = noise.tilt_density_rad_s[:, None]
     density[2] = noise.yaw_density_rad_s
     by_rate = (rate_gain * (density / np.sqrt(dt_s))).reshape(6, -1)
     along, across, up, turning = np.square(noise.wheels)

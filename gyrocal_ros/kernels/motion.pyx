@@ -180,14 +180,10 @@ cdef int add_process_noise(
     cdef double step[3]
     cdef double density[3]
     cdef double added[6][6]
-    cdef Array of_tilt, of_yaw = None, walks = doubles(noise.walks)
+    cdef Array of_tilt = doubles(noise.tilt_density_rad_s), of_yaw = None, walks = doubles(noise.walks)
     cdef const double* rate_gain = at(motion.rate_gain)
     along, across, up, turning = noise.wheels
-    if isinstance(noise.tilt_density_rad_s, float):
-        density[0] = density[1] = noise.tilt_density_rad_s
-    else:
-        of_tilt = doubles(noise.tilt_density_rad_s)
-        density[0], density[1] = at(of_tilt)[0], at(of_tilt)[1]
+    density[0], density[1] = at(of_tilt)[0], at(of_tilt)[1]
     if isinstance(noise.yaw_density_rad_s, float):
         density[2] = noise.yaw_density_rad_s
     else:

@@ -24,6 +24,9 @@ class SensorErrors:
 
     scale_factor: float = 135.5 / 146.4
     """True yaw rate over nominal yaw rate."""
+    x_scale_error: float = 0.0
+    y_scale_error: float = 0.0
+    """Relative errors of the readings of the x and y gyros."""
     turn_on_bias_deg_s: float = 0.2
     """Standard deviation of the constant bias of each axis."""
     bias_wander_deg_h: float = 10.0

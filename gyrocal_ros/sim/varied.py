@@ -6,6 +6,7 @@ The ranges are those of data sheets of consumer gyros, and of cleaning robots on
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -22,6 +23,8 @@ AREA_M = (1.5, 5.0)
 """Range of the sides of the cleaned area; the walls are a metre further."""
 SLOWEST_DEG_S, FASTEST_DEG_S = (15.0, 60.0), (60.0, 170.0)
 """Ranges of the slowest and the fastest turn of a robot."""
+TILT_SCALE_STD = 0.02
+"""Standard deviation of the scale errors of the x and y gyros."""
 
 
 def varied_scenario(seed: int) -> Scenario:
@@ -48,7 +51,7 @@ def varied_scenario(seed: int) -> Scenario:
             area_m=(float(area_m[0]), float(area_m[1])),
             lane_width_m=float(rng.uniform(0.15, 0.4)),
         ),
-        errors=_errors(rng),
+        errors=_with_tilt_errors(_errors(rng), seed),
         room_m=(float(area_m[0]) + 2.0, float(area_m[1]) + 2.0),
         corners=int(rng.integers(40, 160)),
         floor_tilt_deg=_log_uniform(rng, 0.05, 0.4),
@@ -73,6 +76,12 @@ def _errors(rng: np.random.Generator) -> SensorErrors:
         pixel_noise_px=_log_uniform(rng, 0.1, 1.0),
         outliers=float(rng.choice([0.0, 0.0, 0.01, 0.03])),
     )
+
+
+def _with_tilt_errors(errors: SensorErrors, seed: int) -> SensorErrors:
+    """Draw the errors of the x and y gyros, which are of one design and err alike in part."""
+    alike, of_x, of_y = TILT_SCALE_STD / math.sqrt(2.0) * stream(seed, 'tilt gyros').standard_normal(3)
+    return replace(errors, x_scale_error=float(alike + of_x), y_scale_error=float(alike + of_y))
 
 
 def _log_uniform(rng: np.random.Generator, low: float, high: float) -> float:

@@ -250,6 +250,7 @@ class SimSource:
             heading_rad=motion.euler_rad[:, 2],
             position_m=truth.position(time_s)[:, :2],
         )
+        rate[:, :2] *= [1.0 + errors.x_scale_error, 1.0 + errors.y_scale_error]
         rate[:, 2] = nominal_yaw_rate(rate[:, 2], truth.scale_factor, block, self.hidden)
         rate[:, 2] += hidden_noise(block, self.hidden, stream(self.seed, 'hidden noise'))
         rates = read_gyro(rate, hz, errors, stream(self.seed, 'gyro'))

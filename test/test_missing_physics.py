@@ -358,6 +358,15 @@ class TestImprove:
         assert abs(after['held_out_drift_fell_sigma']) < 2.0 and before['kept']
 
     @pytest.mark.slow
+    def test_an_unknown_law_is_named_by_what_it_follows(self, tmp_path: Path, capsys: Output) -> None:
+        """The headings of this run seem to follow the time; the full filter tells that they do not."""
+        bag = bag_of(tmp_path / 'law', DrawnEffect('stranger_scale_heading', (0.03, 0.5)))
+        assert main(['improve', str(bag)]) == 0
+        text = capsys.readouterr().out
+        assert text.startswith('[red] Nothing was added')
+        assert 'the scale goes with heading in the map (deg)' in text
+
+    @pytest.mark.slow
     def test_an_interruption_leaves_nothing(
         self, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:

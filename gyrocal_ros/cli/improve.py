@@ -31,6 +31,7 @@ from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.search import try_effect
 from gyrocal_ros.diagnose.status import improvement_status, missing_sentence
 from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.errors import ConfigError
@@ -84,7 +85,7 @@ def run(args: argparse.Namespace) -> None:
                 learned = learn(searched, recorded, calibrate)
                 searched, laws = learned.searched, learned.laws
             else:
-                searched = without_harm(searched, recorded, calibrate)
+                searched = name_unknown(without_harm(searched, recorded, calibrate), recorded, calibrate)
         else:
             searched = try_effect(model, recorded, calibrate, effect)
         improved = improvement(searched)

@@ -241,7 +241,8 @@ def improvement_status(improved: Improvement) -> Status:
     if improved.harmful:
         noise = f'the gyro has {join(list(improved.harmful))}, with which the robot drifts more'
         return Status('yellow', f'{added}: {noise}.', ADD_NOISE)
-    if model_fit(improved.final.examined.run).fits is False:
+    final = improved.final.examined
+    if model_fit(final.run).fits is False or final.unexplained_structure is not None:
         return Status('red', f'{added}, and the model still does not fit.', LEARN)
     if not names:
         return Status('green', f'{added}: no effect improves the prediction of the recording.')

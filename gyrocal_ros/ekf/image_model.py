@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, Rig, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, PoseMotion, as_exposed, measurement_by_values
+from gyrocal_ros.ekf.robust import Slip
 from gyrocal_ros.ekf.state import State
 from gyrocal_ros.model.features.base import Anchors, Parametrisation, PosedCamera, Prediction
 
@@ -53,8 +54,8 @@ class ImageModel:
     """True if the image repeats what was seen before: of a robot that stays where it is."""
     stays: bool
     """True if the robot stands still."""
-    may_slip: bool
-    """True if a slip of the wheels may explain what contradicts the pose."""
+    slip: Slip
+    """Whether a slip of the wheels may explain what contradicts the pose."""
 
     @property
     def by_stamp(self) -> Array | None:

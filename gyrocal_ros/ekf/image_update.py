@@ -134,7 +134,7 @@ def update_from_image(
         told,
         unmoved=repeated,
         changes_px2=changes_px2,
-        slips=found.slip_std is not None,
+        slip_std=found.slip_std,
         contradicts_turn=found.contradicts_turn,
         rejected=len(good) - told.used,
         noise_distances=_noise_dominated(judged, matches.unmoved, least) if is_in_pixels else np.empty(0),
@@ -276,7 +276,7 @@ def _with_stamp_noise(innovation: Innovation, model: ImageModel) -> Innovation:
 def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
     outlier_probability = model.config.features.outlier_probability
     if model.form.is_robust:
-        return consensus(innovation, outlier_probability, model.interval_s, may_slip=model.may_slip)
+        return consensus(innovation, outlier_probability, model.interval_s, model.slip)
     judged = each_alone(innovation)
     return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
 

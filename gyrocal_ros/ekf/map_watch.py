@@ -6,6 +6,7 @@ from collections import deque
 
 from gyrocal_ros.data import seconds
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.robust import Slip
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.errors import FilterDivergedError
@@ -21,6 +22,12 @@ SLIPS = (
     'the position follows the images'
 )
 """Event of a run."""
+LIFTED = 'the robot was lifted: position, height and tilt follow the images, and the turn the gyro'
+"""Event of a run."""
+LIFTED_IMAGES = 3
+"""Number of consecutive images that only a lift explains, from which it is one."""
+GOES_ON_S = 0.5
+"""Time since the last image that a slip explained, within which it goes on."""
 SLIP_PAUSE_S = 5.0
 """Time without such images after which the next one is another event."""
 CONTRADICTED_TURNS, CONTRADICTED_TURNS_S = 5, 60.0
@@ -61,30 +68,41 @@ class LostMaps:
 
 
 class SlipWatch:
-    """Tells once of each time at which the images contradict the wheels, and whether a slip explains that.
+    """Tells once of each time at which the images contradict the wheels: these slip, or the robot is lifted.
 
     Stamps of a late camera contradict wheels and gyro in turn, so that where turns are contradicted the
     wheels are not to blame.
     """
 
     def __init__(self) -> None:
-        self._last_ns: int | None = None
+        self._last_ns: dict[str, int] = {}
         self._turns, self._turned_ns = 0, -1
+        self._lifts = 0
 
-    def may_slip(self, t_ns: int) -> bool:
-        """Return False if turns have been contradicted lately."""
-        return self._turned_ns < 0 or seconds(t_ns - self._turned_ns) > CONTRADICTED_TURNS_S
+    def slip(self, t_ns: int) -> Slip:
+        """Return whether a slip may explain what contradicts the pose of an image."""
+        if self._turned_ns >= 0 and seconds(t_ns - self._turned_ns) <= CONTRADICTED_TURNS_S:
+            return Slip.EXCLUDED
+        last_ns = max(self._last_ns.values(), default=None)
+        goes_on = last_ns is not None and seconds(t_ns - last_ns) < GOES_ON_S
+        return Slip.GOES_ON if goes_on else Slip.POSSIBLE
 
     def event(self, update: MeasurementUpdate, t_ns: int) -> str:
         """Return the event of an image; empty for none."""
         self._turns = self._turns + 1 if update.contradicts_turn else 0
         if self._turns >= CONTRADICTED_TURNS:
             self._turned_ns = t_ns
-        if not update.slips:
+        if update.slip_std is None:
+            self._lifts = 0
             return ''
-        last_ns, self._last_ns = self._last_ns, t_ns
+        self._lifts = self._lifts + 1 if update.slip_std[2] > 0.0 else 0
+        return self._once(LIFTED if self._lifts >= LIFTED_IMAGES else SLIPS, t_ns)
+
+    def _once(self, event: str, t_ns: int) -> str:
+        """Return an event where it begins, and nothing while it goes on."""
+        last_ns, self._last_ns[event] = self._last_ns.get(event), t_ns
         goes_on = last_ns is not None and seconds(t_ns - last_ns) < SLIP_PAUSE_S
-        return '' if goes_on else SLIPS
+        return '' if goes_on else event
 
 
 class MapWatch:

@@ -8,6 +8,7 @@ fixed in space, shows far more clearly than by its own innovation.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from enum import Enum
 from typing import TypeAlias
 
 import numpy as np
@@ -35,6 +36,8 @@ LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
 SLIP_RATE = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
 """The same where the wheels slip or stand still in the air, or where all that the camera sees moves."""
+LIFT_RATE = np.array([0.3, 0.3, 0.3, 0.05, 0.05, 0.0])
+"""The same where somebody lifts the robot; the gyros follow how it tilts, but for their scale."""
 BENT = 0.1
 """Share of a contradiction below which the pose explains it; the rest is the map, bent by earlier images."""
 TURNED = 0.2
@@ -111,6 +114,20 @@ def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
     return Judged(distances, noise_share, float(np.vdot(weighted, innovation.residual)))
 
 
+class Slip(Enum):
+    """Whether the wheels may be to blame for what contradicts the pose."""
+
+    EXCLUDED = 'excluded'
+    """Turns are contradicted as well."""
+    POSSIBLE = 'possible'
+    GOES_ON = 'goes on'
+    """They were to blame for the last images."""
+
+
+SLIP_MAY_LEAVE = {Slip.EXCLUDED: (0.0, 0.0), Slip.POSSIBLE: (BENT, BENT), Slip.GOES_ON: (BENT, 1.0)}
+"""Share of a contradiction below which a slip explains it, and a lift."""
+
+
 @quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
 class Consensus:
@@ -122,7 +139,8 @@ class Consensus:
     good: np.ndarray
     """(m,) bool, features to use."""
     slip_std: Array | None = None
-    """(6,) standard deviations of the pose by a slip that explains what the features show; None without."""
+    """(6,) standard deviations of the pose by a slip, or a lift, that explains what the features show; None
+    without."""
     contradicts_turn: bool = False
     """True if only another turn than that by the gyro explains what the features show."""
 
@@ -133,23 +151,24 @@ class Consensus:
 
 
 def consensus(
-    innovation: Innovation, outlier_probability: float, interval_s: float, *, may_slip: bool = True
+    innovation: Innovation, outlier_probability: float, interval_s: float, slip: Slip = Slip.POSSIBLE
 ) -> Consensus:
     """Judge the features of an image by each other and by the pose: Huber's weights, and a gate.
 
-    Where another way than that by the wheels explains a contradiction of the predicted pose, the position is
-    as uncertain as that: a slip says nothing of the gyro. Otherwise, where most features contradict the pose,
-    an effect that the model lacks may have turned it, and those that show the effect best would be rejected
-    first. They are then judged with a looser pose: by a wider gate if that explains what they show. If not,
-    and most of them contradict each other, none is used: an image in the dark or of a hand still has corners.
-    Few features do not contradict the pose, for they do not determine one. Features that agree with the
-    predicted pose are witnesses against any other one that contradicts them: a wrong pose has none.
+    Where another way than that by the wheels explains a contradiction of the predicted pose, along the floor
+    or in the hands of somebody, the position is as uncertain as that: it says nothing of the yaw gyro.
+    Otherwise, where most features contradict the pose, an effect that the model lacks may have turned it, and
+    those that show the effect best would be rejected first. They are then judged with a looser pose: by a
+    wider gate if that explains what they show. If not, and most of them contradict each other, none is used:
+    an image in the dark or of a hand still has corners. Few features do not contradict the pose, for they do
+    not determine one. Features that agree with the predicted pose are witnesses against any other one that
+    contradicts them: a wrong pose has none.
 
     Args:
         innovation: of the m features.
         outlier_probability: probability of the rejection of a good feature.
         interval_s: time since the last image.
-        may_slip: False if a slip does not explain a contradiction, because turns are contradicted as well.
+        slip: whether the wheels may be to blame; while that goes on, a lift explains a part.
 
     Raises:
         FilterDivergedError: the covariance of the innovation is not positive definite.
@@ -172,12 +191,13 @@ def consensus(
     half_agrees = 2 * np.count_nonzero(predicted.good) >= m
     if half_agrees and looser_pose_gain(innovation, loose_std, predicted.judged.distances) <= pose_gate:
         return predicted
-    slip_std = SLIP_RATE * interval_s
-    slip = weigh_loosely(innovation, slip_std, *WEIGHING)
-    *_, tight_nis, loose_nis = slip
-    left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
-    if may_slip and left < BENT and _witnesses(agreeing, slip[1], gate) < MIN_WITNESSES:
-        return _slipping(innovation, slip_std, slip, gate)
+    by_slip, by_lift = SLIP_MAY_LEAVE[slip]
+    for largest, std in ((by_slip, SLIP_RATE * interval_s), (by_lift, LIFT_RATE * interval_s)):
+        weighed = weigh_loosely(innovation, std, *WEIGHING)
+        *_, tight_nis, loose_nis = weighed
+        left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
+        if left < largest and _witnesses(agreeing, weighed[1], gate) < MIN_WITNESSES:
+            return _slipping(innovation, std, weighed, gate)
     loose = weigh_loosely(innovation, loose_std, *WEIGHING)
     if _witnesses(agreeing, loose[1], gate) >= MIN_WITNESSES:
         outvoted = 2 * np.count_nonzero(agreeing.good) < np.count_nonzero(loose[1] <= gate)

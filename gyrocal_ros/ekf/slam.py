@@ -336,7 +336,7 @@ class EkfSlam:
             errors_repeat=self.track_noise.errors_repeat,
             is_known=is_known,
             stays=stays and self.parametrisation.is_anchored,
-            may_slip=self._slip_watch.may_slip(self.state.t_ns),
+            slip=self._slip_watch.slip(self.state.t_ns),
         )
 
     # --- queries and settings for other rooms -----------------------------------------------------

@@ -140,8 +140,8 @@ class MeasurementUpdate:
     """Changes of unmoved features, see `repeated_errors.Motion`."""
     waits: bool = False
     """True while coefficients wait for the camera to move, see `considered`."""
-    slips: bool = False
-    """True if the features of the image contradict the way by the wheels alone, see `robust.consensus`."""
+    slip_std: Array | None = None
+    """(6,) errors of the pose where the image contradicts only the way by the wheels, see `robust`."""
     contradicts_turn: bool = False
     """True if they contradict the turn by the gyro."""
     event: str = ''

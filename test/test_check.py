@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import json
 import math
+import re
 from collections.abc import Callable, Collection, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -139,6 +140,29 @@ def test_exchanged_axes_are_named(tmp_path: Path, shift: int, sign: float, axis:
     issue = issues_by_kind(check(tmp_path, with_changed(ImuSample, exchange)))['exchanged_axes']
     assert issue.severity is Severity.ERROR
     assert f'its {axis} axis turns as /wheel/odometry' in issue.text
+
+
+@pytest.mark.parametrize(('late_s', 'side'), [(0.2, 'behind'), (-0.15, 'ahead of'), (0.05, '')])
+def test_delayed_wheels(tmp_path: Path, late_s: float, side: str) -> None:
+    def rate(at_s: float) -> float:
+        return 0.6 * math.sin(0.7 * at_s) + 0.5 * math.sin(1.9 * at_s + 1.0) + 0.3 * math.sin(3.1 * at_s)
+
+    def turned(item: Measurement) -> Measurement:
+        if isinstance(item, ImuSample):
+            return replace(item, rate_rad_s=(*item.rate_rad_s[:2], rate(time_s(item))))
+        if isinstance(item, WheelSample):
+            return replace(item, yaw_rate_rad_s=rate(time_s(item) - late_s))
+        return item
+
+    issues = issues_by_kind(check(tmp_path, map(turned, drive(60.0))))
+    assert ('delayed_turns' in issues) == bool(side)
+    if side:
+        assert issues['delayed_turns'].severity is Severity.WARNING
+        found = re.fullmatch(
+            rf'its turns are (.*) s {side} those of /imu/data_raw', issues['delayed_turns'].text
+        )
+        # The wheels come every 0.05 s, so that a turn is counted half of that late.
+        assert found and float(found[1]) == pytest.approx(abs(late_s + 0.025), abs=0.025)
 
 
 def test_degrees_without_wheels_for_comparison(tmp_path: Path) -> None:

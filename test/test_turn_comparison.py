@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from gyrocal_ros.bag.topic_stats import TurnComparison, TurnStats, compare_turns
+from gyrocal_ros.bag.topic_stats import TurnComparison, TurnStats, compare_turns, turn_delay
 from gyrocal_ros.data import Array, IntArray
 
 DURATION_S = 120.0
@@ -61,3 +61,34 @@ def test_an_inverted_one_is_told_from_a_late_one(late_s: float) -> None:
 def test_that_of_another_drive_does_not_agree(seed: int) -> None:
     assert abs(compared(reference(20.0, seed=seed)).correlation) < 0.6
     assert abs(compared(reference(1.0, seed=seed)).correlation) < 0.6
+
+
+@pytest.mark.parametrize('late_s', [-0.2, 0.0, 0.15, 0.3])
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+def test_a_delay_is_measured_within_a_bin(late_s: float, sign: float) -> None:
+    found = turn_delay(gyro(), reference(20.0, late_s, sign))
+    assert found is not None and found.std_s < 0.03
+    # The headings of this reference come every 0.05 s, so that a turn is counted half of that late.
+    assert found.delay_s == pytest.approx(late_s + 0.025, abs=0.03)
+
+
+def test_the_standard_deviation_of_a_delay_is_that_of_its_scatter() -> None:
+    rng, found = np.random.default_rng(3), []
+    for _ in range(30):
+        other = reference(20.0, 0.1)
+        for number in other.bins_rad:
+            other.bins_rad[number] += 0.06 * float(rng.standard_normal())
+        delay = turn_delay(gyro(), other)
+        assert delay is not None
+        found.append((delay.delay_s, delay.std_s))
+    delays_s, stds_s = np.array(found).T
+    # What is left is in part that turns are not even within a bin, which is the same each time.
+    assert 0.5 * stds_s.mean() < np.std(delays_s) < 1.2 * stds_s.mean()
+
+
+def test_sensors_that_do_not_agree_have_no_delay() -> None:
+    assert turn_delay(gyro(), reference(20.0, seed=2)) is None
+    assert turn_delay(gyro(), TurnStats()) is None
+    still = TurnStats()
+    still.add(stamps_ns(20.0), np.zeros(len(stamps_ns(20.0))))
+    assert turn_delay(gyro(), still) is None and turn_delay(still, gyro()) is None

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from gyrocal_ros.bag.scan import BagScan, TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
-from gyrocal_ros.bag.topic_stats import EventStats, TurnComparison, compare_turns
+from gyrocal_ros.bag.topic_stats import EventStats, TurnComparison, compare_turns, turn_delay
 from gyrocal_ros.data import seconds
 from gyrocal_ros.model.faulty_readings import FaultyGyro
 from gyrocal_ros.msgs.issues import BagIssue, Severity
@@ -43,6 +43,8 @@ MAX_TURN_RATIO, MIN_CORRELATION = 1.2, 0.85
 MAX_REFERENCE_RATIO, MIN_REFERENCE_CORRELATION = 2.0, 0.7
 """Ratio of turns beyond which, and correlation below which, a heading reference is unfit; below the negative
 of the correlation the sign is reversed."""
+MAX_TURN_DELAY_S, DELAY_SIGMA = 0.1, 3.0
+"""Delay of the turns of the wheels that is too long, by some of its standard deviations."""
 MIN_FEATURES = 4.0
 """Minimum of the mean number of features per image."""
 AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the axes in its driver or firmware'
@@ -71,6 +73,9 @@ def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
     for imu in imus:
         yield from _imu_issues(imu, bag, _compare_with_imu(imu, stamped, bag))
     wheels = bag.of_role(Role.WHEELS)
+    if wheels in stamped:
+        for imu in imus:
+            yield from _delay_issues(wheels, imu, bag)
     if wheels and (count := bag.wheels.spikes):
         noun = 'speed is' if count == 1 else 'speeds are'
         text = f'{count} {noun} far from those before and after'
@@ -282,6 +287,18 @@ def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> I
             if not 1.0 / MAX_TURN_RATIO < compared.ratio < MAX_TURN_RATIO:
                 todo = 'one of the two scale factors is far off; do the wheels of the reference slip?'
             yield _issue(scan, WARNING, 'turns_disagree', text, todo)
+
+
+def _delay_issues(wheels: TopicScan, imu: TopicScan, bag: BagScan) -> Iterator[BagIssue]:
+    """Yield an issue of wheels whose turns are stamped at other times than those of the gyro."""
+    if abs(_clock_offset_s(wheels, imu)) > MAX_CLOCK_OFFSET_S:
+        return  # said already
+    delay = turn_delay(bag.imus[imu.topic.name].turns, bag.turns[wheels.role])
+    if delay is not None and abs(delay.delay_s) - DELAY_SIGMA * delay.std_s > MAX_TURN_DELAY_S:
+        side = 'behind' if delay.delay_s > 0.0 else 'ahead of'
+        text = f'its turns are {abs(delay.delay_s):.2f} s {side} those of {imu.topic.name}'
+        todo = 'let the driver stamp at the measurement, not on arrival; or is the odometry filtered?'
+        yield _issue(wheels, WARNING, 'delayed_turns', text, todo)
 
 
 def _is_degrees(ratio: float) -> bool:

@@ -34,6 +34,9 @@ AGREEING_CORRELATION = 0.95
 """Correlation from which two sensors are not compared in other ways."""
 JOINED_BINS, MAX_LAG_BINS = (1, 4, 8), 2
 """Numbers of bins that are joined, and by how many a sensor is moved, where they do not agree."""
+DELAY_LAGS, MIN_DELAY_BINS, MIN_CONDITION = 2, 40, 1e-3
+"""Largest lag, in bins, of the regression that measures a delay, with 1 it would be a fifth too large; bins
+and condition that it needs: of a steady swing any lag of a period would do."""
 MIN_RMS_TURN_RAD = math.radians(0.5)
 """Standard deviation of the turn in a bin that one of two sensors must reach for comparing them."""
 MIN_AXIS_CORRELATION = 0.9
@@ -269,6 +272,14 @@ class TurnComparison:
     """Total turn of the other sensor, to both sides."""
 
 
+@dataclass(frozen=True, slots=True)
+class TurnDelay:
+    """By how much the turns of one sensor are behind those of another one."""
+
+    delay_s: float
+    std_s: float
+
+
 def compare_turns(this: TurnStats, other: TurnStats) -> TurnComparison | None:
     """Compare two sensors over their common time.
 
@@ -287,6 +298,38 @@ def compare_turns(this: TurnStats, other: TurnStats) -> TurnComparison | None:
     lags = range(-MAX_LAG_BINS, MAX_LAG_BINS + 1)
     moved = (_compare(this, other, joined, lag) for joined in widths for lag in lags)
     return max(filter(None, (best, *moved)), key=lambda item: abs(item.correlation))
+
+
+def turn_delay(this: TurnStats, other: TurnStats) -> TurnDelay | None:
+    """Return by how much the turns of one sensor are behind those of another one.
+
+    Turns that come a part of a bin late are in that bin and in the next one. So the turn in a bin by the late
+    sensor is regressed on those in the bins around by the other one; the delay is the mean of the lags.
+
+    Returns:
+        None where the common time is too short, or the turns are too small or do not agree.
+    """
+    lags = np.arange(-DELAY_LAGS, DELAY_LAGS + 1)
+    bins = this.bins_rad
+    common = [number for number in sorted(other.bins_rad) if {*(number - lags).tolist()} <= bins.keys()]
+    if len(common) < MIN_DELAY_BINS:
+        return None
+    turns = np.array(
+        [[bins[number] for number in row] for row in (np.array(common)[:, None] - lags).tolist()]
+    )
+    measured = np.array([other.bins_rad[number] for number in common])
+    turns, measured = turns - turns.mean(axis=0), measured - measured.mean()
+    if min(np.var(turns), np.var(measured)) < MIN_RMS_TURN_RAD**2:
+        return None
+    parts, _, rank, _ = np.linalg.lstsq(turns, measured, rcond=MIN_CONDITION)
+    left = measured - turns @ parts
+    if rank < len(lags) or left @ left > (1.0 - AGREEING_CORRELATION**2) * (measured @ measured):
+        return None
+    covariance = np.linalg.inv(turns.T @ turns) * (left @ left) / (len(common) - len(lags))
+    mean_lag = lags @ parts / parts.sum()
+    by_parts = (lags - mean_lag) / parts.sum()
+    bin_s = BIN_NS / NS_PER_S
+    return TurnDelay(bin_s * float(mean_lag), bin_s * math.sqrt(by_parts @ covariance @ by_parts))
 
 
 def _spacing(turns: TurnStats) -> int:

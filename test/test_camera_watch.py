@@ -122,11 +122,13 @@ def test_what_the_camera_does_is_no_change_of_the_scale_factor(
 ) -> None:
     run, z = calibrated(name, *values)
     assert not run.history.scale_followed.any() and abs(z) < 2.5
-    told = [camera_fault(event.text) for event in run.events]
-    fault = [words for words, remedy in told if remedy.startswith('a diagnosis')][-1]
+    faults = [camera_fault(event.text) for event in run.events]
+    fault = [words for words, remedy in faults if remedy.startswith('a diagnosis')][-1]
     assert fault.startswith(first_words)
-    (number, *_) = re.findall(r'[0-9.]+', fault)
-    assert float(number) == pytest.approx(size, rel=0.1)
+    told = re.search(r'([0-9.]+).*\(([0-9]+) sigma\)', fault)
+    assert told is not None
+    number, sigma = map(float, told.groups())
+    assert number == pytest.approx(size, abs=2.5 * number / sigma)
     assert not calibrated(name, *values, adds=True)[0].events, 'the model has it'
 
 

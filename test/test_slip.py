@@ -109,7 +109,7 @@ def rolls(roll_rad: Array) -> Array:
 
 
 class LiftedSource(SimSource):
-    """A simulated robot that somebody lifts while it drives; its wheels turn on."""
+    """A simulated robot that somebody lifts; its wheels are switched off meanwhile."""
 
     def camera_poses(self, time_s: Array) -> tuple[Array, Array]:
         R_wc, p_wc = super().camera_poses(time_s)
@@ -118,6 +118,11 @@ class LiftedSource(SimSource):
         R_wb_lifted = R_wb @ rolls(roll_rad)
         p_wb = p_wc - R_wb @ mount.p_bs + displaced_m
         return R_wb_lifted @ mount.R_bs, p_wb + R_wb_lifted @ mount.p_bs
+
+    def _wheels(self) -> Iterator[WheelSample]:
+        for item in super()._wheels():
+            is_lifted = 0.0 < (item.t_ns - self.span.start_ns) / NS_PER_S - LIFT_S < LIFTED_S
+            yield replace(item, speed_m_s=0.0, yaw_rate_rad_s=0.0) if is_lifted else item
 
     def _imu(self) -> Iterator[ImuSample]:
         samples, truth = list(super()._imu()), self.truth
@@ -158,13 +163,14 @@ def test_a_slip_and_a_lift_are_told_once_each() -> None:
 
 def test_a_slip_goes_on_for_a_while() -> None:
     watch = SlipWatch()
-    assert watch.slip(0) is Slip.POSSIBLE
+    assert watch.slip(0, drives=False) is Slip.POSSIBLE and watch.slip(0, drives=True) is Slip.ON_FLOOR
     watch.event(image_of(SLIP_RATE), NS_PER_S)
     soon_ns = NS_PER_S + round(0.9 * GOES_ON_S * NS_PER_S)
-    assert watch.slip(soon_ns) is Slip.GOES_ON and watch.slip(2 * soon_ns) is Slip.POSSIBLE
+    assert watch.slip(soon_ns, drives=True) is Slip.GOES_ON
+    assert watch.slip(2 * soon_ns, drives=False) is Slip.POSSIBLE
     for step in range(5):
         watch.event(image_of(None, contradicts_turn=True), soon_ns + step)
-    assert watch.slip(soon_ns + 5) is Slip.EXCLUDED
+    assert watch.slip(soon_ns + 5, drives=False) is Slip.EXCLUDED
 
 
 def swaying(item: Measurement, time_s: float) -> Measurement:

@@ -79,23 +79,30 @@ class SlipWatch:
         self._turns, self._turned_ns = 0, -1
         self._lifts = 0
 
-    def slip(self, t_ns: int) -> Slip:
-        """Return whether a slip may explain what contradicts the pose of an image."""
+    def slip(self, t_ns: int, *, drives: bool) -> Slip:
+        """Return whether a slip may explain what contradicts the pose of an image.
+
+        Args:
+            t_ns: time of the image.
+            drives: True if the wheels have driven the robot since the last image.
+        """
         if self._turned_ns >= 0 and seconds(t_ns - self._turned_ns) <= CONTRADICTED_TURNS_S:
             return Slip.EXCLUDED
         last_ns = max(self._last_ns.values(), default=None)
         goes_on = last_ns is not None and seconds(t_ns - last_ns) < GOES_ON_S
-        return Slip.GOES_ON if goes_on else Slip.POSSIBLE
+        if goes_on:
+            return Slip.GOES_ON
+        return Slip.ON_FLOOR if drives else Slip.POSSIBLE
 
     def event(self, update: MeasurementUpdate, t_ns: int) -> str:
         """Return the event of an image; empty for none."""
         self._turns = self._turns + 1 if update.contradicts_turn else 0
         if self._turns >= CONTRADICTED_TURNS:
             self._turned_ns = t_ns
+        is_lift = update.slip_std is not None and update.slip_std[2] > 0.0
+        self._lifts = self._lifts + 1 if is_lift else 0
         if update.slip_std is None:
-            self._lifts = 0
             return ''
-        self._lifts = self._lifts + 1 if update.slip_std[2] > 0.0 else 0
         return self._once(LIFTED if self._lifts >= LIFTED_IMAGES else SLIPS, t_ns)
 
     def _once(self, event: str, t_ns: int) -> str:

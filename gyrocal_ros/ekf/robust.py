@@ -36,8 +36,8 @@ LOOSE_POSE_RATE = np.array([0.3, 0.3, 0.3, 1.0, 1.0, 1.0])
 """Standard deviations of the errors of the motion (m/s, rad/s) of a model that lacks an effect."""
 SLIP_RATE = np.array([0.3, 0.3, 0.0, 0.0, 0.0, 0.0])
 """The same where the wheels slip or stand still in the air, or where all that the camera sees moves."""
-LIFT_RATE = np.array([0.3, 0.3, 0.3, 0.05, 0.05, 0.0])
-"""The same where somebody lifts the robot; the gyros follow how it tilts, but for their scale."""
+LIFT_RATE = np.array([0.3, 0.3, 0.3, 0.0, 0.0, 0.0])
+"""The same where somebody lifts the robot; the gyros follow how it tilts."""
 BENT = 0.1
 """Share of a contradiction below which the pose explains it; the rest is the map, bent by earlier images."""
 TURNED = 0.2
@@ -119,12 +119,19 @@ class Slip(Enum):
 
     EXCLUDED = 'excluded'
     """Turns are contradicted as well."""
+    ON_FLOOR = 'on the floor'
+    """They drive: below a camera that leans forwards a robot seems to rise as it drives."""
     POSSIBLE = 'possible'
     GOES_ON = 'goes on'
     """They were to blame for the last images."""
 
 
-SLIP_MAY_LEAVE = {Slip.EXCLUDED: (0.0, 0.0), Slip.POSSIBLE: (BENT, BENT), Slip.GOES_ON: (BENT, 1.0)}
+SLIP_MAY_LEAVE = {
+    Slip.EXCLUDED: (0.0, 0.0),
+    Slip.ON_FLOOR: (BENT, 0.0),
+    Slip.POSSIBLE: (BENT, BENT),
+    Slip.GOES_ON: (BENT, 1.0),
+}
 """Share of a contradiction below which a slip explains it, and a lift."""
 
 

@@ -336,7 +336,7 @@ class EkfSlam:
             errors_repeat=self.track_noise.errors_repeat,
             is_known=is_known,
             stays=stays and self.parametrisation.is_anchored,
-            slip=self._slip_watch.slip(self.state.t_ns),
+            slip=self._slip_watch.slip(self.state.t_ns, drives=self.wheel_noise.drives),
         )
 
     # --- queries and settings for other rooms -----------------------------------------------------

@@ -71,6 +71,11 @@ class WheelNoise:
         self._before, self._batch = _EMPTY, _EMPTY
         self.forget()
 
+    @property
+    def drives(self) -> bool:
+        """True if the wheels have driven the robot ahead or back since the last image."""
+        return self._way_m > 0.0
+
     def forget(self) -> None:
         """Forget the way since the last image."""
         self._way_m = self._turn_rad = self._since_s = 0.0

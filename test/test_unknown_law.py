@@ -118,7 +118,9 @@ def test_a_curve_is_shown_over_its_signal(monkeypatch: pytest.MonkeyPatch) -> No
     assert len(shape.knots) == 11 and np.all(shape.stds == 0.1)
 
 
-def test_only_effects_that_all_follow_signals_may_imitate_a_law(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_effects_that_follow_signals_or_a_noise_beside_others_may_imitate_a_law(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(unknown_law, 'timing_fault', lambda examined: None)
 
     def may_imitate(*names: str) -> bool:
@@ -128,6 +130,26 @@ def test_only_effects_that_all_follow_signals_may_imitate_a_law(monkeypatch: pyt
     voltage, current = (f'covariate_scale:battery_state.{name}' for name in ('voltage', 'current'))
     assert may_imitate(voltage, current)
     assert not may_imitate(voltage) and not may_imitate(voltage, current, 'scale_cubic')
+    assert may_imitate('scale_cubic', 'gyro_lag', 'bias_instability')
+    assert not may_imitate('scale_cubic', 'bias_instability') and not may_imitate('bias_instability')
+
+
+@pytest.mark.parametrize(
+    ('names', 'expected'),
+    [
+        (('scale_cubic', 'rate_noise'), 'before rate_noise'),
+        (('rate_noise', 'scale_cubic'), 'last'),
+        ((), 'last'),
+    ],
+)
+def test_a_noise_that_came_last_is_a_leftover(names: tuple[str, ...], expected: str) -> None:
+    kept = [
+        SimpleNamespace(effect=find_effect(name), before=SimpleNamespace(run=f'before {name}'))
+        for name in names
+    ]
+    searched: Any = SimpleNamespace(kept=kept, last=SimpleNamespace(run='last'))
+    found: Any = unknown_law._without_leftover(searched)
+    assert found == expected
 
 
 @pytest.mark.parametrize(('part_of_typical', 'count'), [(1.0, 0), (4.9, 0), (5.1, 1)])

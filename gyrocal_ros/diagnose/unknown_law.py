@@ -26,7 +26,7 @@ from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, HEADING, RATE
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.learned.wave import Wave
-from gyrocal_ros.effects.traits import follows_signal
+from gyrocal_ros.effects.traits import follows_signal, is_noise
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary
@@ -69,7 +69,7 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
         return searched
     beside = likeliest_law(last, recording, calibrate) if is_missing else None
     alone = likeliest_law(searched.first, recording, calibrate) if last is not searched.first else None
-    best = last.run if beside is None or not beside.is_kept else beside.after.run
+    best = _without_leftover(searched) if beside is None or not beside.is_kept else beside.after.run
     if alone is not None and alone.is_kept and _gain(best, alone.after.run) > -MIN_GAIN:
         recovered = [item for item in searched.additions if item.before is None]
         return _saying(Search(searched.first, tuple(recovered)), alone)
@@ -104,9 +104,22 @@ def _is_explained(searched: Search) -> bool:
 
 
 def _may_imitate(searched: Search) -> bool:
-    """Return True for several effects that follow signals: together they may imitate what none shows."""
-    followers = [item for item in searched.kept if follows_signal(item.effect)]
-    return len(followers) > 1 and len(followers) == len(searched.kept) and timing_fault(searched.last) is None
+    """Return True for several effects that together may imitate a law that none of them shows.
+
+    These are effects that follow signals, and several with a noise, which takes what they leave.
+    """
+    kept = [item.effect for item in searched.kept]
+    laws = [effect for effect in kept if not is_noise(effect)]
+    are_suspect = all(map(follows_signal, laws)) or len(laws) < len(kept)
+    return len(laws) > 1 and are_suspect and timing_fault(searched.last) is None
+
+
+def _without_leftover(searched: Search) -> Run:
+    """Return the run with all that was found, but for a noise that took what the effects before it left."""
+    for last in searched.kept[-1:]:
+        if is_noise(last.effect) and last.before is not None:
+            return last.before.run
+    return searched.last.run
 
 
 def _gain(before: Run, after: Run) -> float:

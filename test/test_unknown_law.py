@@ -137,12 +137,14 @@ def test_effects_that_follow_signals_or_a_noise_beside_others_may_imitate_a_law(
 @pytest.mark.parametrize(
     ('names', 'expected'),
     [
-        (('scale_cubic', 'rate_noise'), 'before rate_noise'),
-        (('rate_noise', 'scale_cubic'), 'last'),
+        (('scale_cubic', 'gyro_lag', 'rate_noise'), 'before rate_noise'),
+        (('scale_cubic', 'rate_noise', 'gyro_lag'), 'last'),
+        (('scale_cubic', 'rate_noise'), 'last'),
+        (('rate_noise',), 'last'),
         ((), 'last'),
     ],
 )
-def test_a_noise_that_came_last_is_a_leftover(names: tuple[str, ...], expected: str) -> None:
+def test_a_noise_that_came_after_several_effects_is_a_leftover(names: tuple[str, ...], expected: str) -> None:
     kept = [
         SimpleNamespace(effect=find_effect(name), before=SimpleNamespace(run=f'before {name}'))
         for name in names

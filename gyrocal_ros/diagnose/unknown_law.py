@@ -115,11 +115,11 @@ def _may_imitate(searched: Search) -> bool:
 
 
 def _without_leftover(searched: Search) -> Run:
-    """Return the run with all that was found, but for a noise that took what the effects before it left."""
-    for last in searched.kept[-1:]:
-        if is_noise(last.effect) and last.before is not None:
-            return last.before.run
-    return searched.last.run
+    """Return the run with all that was found, but for a noise that took what several effects had left."""
+    *effects, last = searched.kept or (None,)
+    if len(effects) < 2 or last is None or last.before is None or not is_noise(last.effect):
+        return searched.last.run
+    return last.before.run
 
 
 def _gain(before: Run, after: Run) -> float:

@@ -22,7 +22,7 @@ SLIPS = (
     'the position follows the images'
 )
 """Event of a run."""
-LIFTED = 'the robot was lifted: position, height and tilt follow the images, and the turn the gyro'
+LIFTED = 'the robot was lifted: its position and height follow the images alone'
 """Event of a run."""
 LIFTED_IMAGES = 3
 """Number of consecutive images that only a lift explains, from which it is one."""

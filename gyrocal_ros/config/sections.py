@@ -32,7 +32,7 @@ class GyroConfig:
         live=True,
     )
     tilt_scale_std: float = setting(
-        0.05,
+        0.1,
         '1',
         'standard deviation of the scale factors of the x and y gyros, which are not estimated: over a door '
         'sill they miss a part of the tilt; about twice the tolerance, since several images in a row miss '

@@ -30,6 +30,8 @@ MISALIGNMENT_RAD = 0.003
 """Standard deviation of the angle between camera and x and y gyros. In a turn, these miss that part of the
 yaw rate, which looks like a bias while the rate lasts. Taken for one that stays, it would tilt the robot for
 long after the turn."""
+SLOW_TILT_RAD_S = math.radians(1.0)
+"""Rate of a tilt, as on any floor, of which the x and y gyros miss less than their noise."""
 
 
 @quickly_filled
@@ -287,10 +289,11 @@ def _noise_of(block: MotionBlock, model: FilterModel, rate_rad_s: Array, unknown
         walks = walks.copy()
         walks[0] = math.hypot(walks[0], gyro.scale_walk)
     tilt_walk = math.hypot(walk, MISALIGNMENT_RAD * model.rate_change_rad_s / math.sqrt(block.duration_s))
-    tilt_rad = block.dt_s @ rate_rad_s[:, :2]
+    slow_rad = SLOW_TILT_RAD_S * block.duration_s
+    missed_rad = gyro.tilt_scale_std * np.maximum(np.abs(block.dt_s @ rate_rad_s[:, :2]) - slow_rad, 0.0)
     tilt_density = density if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s
     return BlockNoise(
-        np.hypot(tilt_density, gyro.tilt_scale_std * tilt_rad / math.sqrt(block.duration_s)),
+        np.hypot(tilt_density, missed_rad / math.sqrt(block.duration_s)),
         yaw_density,
         math.radians(gyro.gap_rate_std_deg_s) * block.gap_s,
         unknown_rad,

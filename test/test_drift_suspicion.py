@@ -11,6 +11,7 @@ from recordings import recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.drift_suspicion import (
+    CONFIRMED_RAD,
     DRIFT_MEMORY_S,
     DRIFT_STD,
     EXACT,
@@ -94,14 +95,28 @@ def test_tracks_without_slow_errors_do_not_err_in_a_turn() -> None:
 
 
 def test_what_has_changed_twice_will_change_again() -> None:
-    once = FollowedChanges().with_one(0.01)
+    once = to_both_sides(FollowedChanges().with_one(0.01))
     assert once.std == 0.0, 'a gyro may be exchanged'
-    twice = once.after(30.0).with_one(-0.005)
+    twice = to_both_sides(once.after(30.0).with_one(-0.005))
     assert twice.std == pytest.approx(np.hypot(0.01, 0.005) / np.sqrt(2.0))
     stds = [twice.after(duration_s).std for duration_s in (10.0, 40.0, 5.0 * DRIFT_MEMORY_S)]
     assert twice.std > stds[0] > stds[1] > 0.5 * twice.std > 100.0 * stds[2]
-    loose = once.after(3.0).with_one(0.01).after(DRIFT_MEMORY_S)
+    loose = to_both_sides(once.after(3.0).with_one(0.01)).after(DRIFT_MEMORY_S)
     assert loose.std < 0.01 * once.with_one(0.01).std, 'it is over sooner where changes were frequent'
+
+
+def test_a_change_that_turns_to_one_side_show_may_be_of_that_side_only() -> None:
+    changed = FollowedChanges().with_one(-0.026)
+    one_side = changed.after(60.0, -20.0)
+    assert changed.std == one_side.std == pytest.approx(0.026)
+    assert one_side.after(1.0, 0.5 * CONFIRMED_RAD).std == changed.std
+    assert one_side.after(1.0, CONFIRMED_RAD).std == 0.0
+    assert FollowedChanges().with_one(0.08, is_stored=True).std == 0.0, 'the gyro was never like that'
+
+
+def to_both_sides(changes: FollowedChanges) -> FollowedChanges:
+    """Return the changes after turns to both sides."""
+    return changes.after(0.0, CONFIRMED_RAD).after(0.0, -CONFIRMED_RAD)
 
 
 def test_a_scale_factor_that_goes_with_the_rate_is_not_known_better_than_it_changes() -> None:

@@ -137,9 +137,9 @@ def test_a_drift_goes_on_after_it_was_followed() -> None:
     assert is_right(conclude(run), 1.003 * source.truth.scale_factor)
 
 
-def some_watch() -> tuple[ScaleWatch, State]:
+def some_watch(*, is_stored: bool = False) -> tuple[ScaleWatch, State]:
     state = initial_state(default_model(), Config(), None, COLUMNS)
-    watch = ScaleWatch(state)
+    watch = ScaleWatch(state, is_stored=is_stored)
     return watch, watch.begin(state)
 
 
@@ -314,7 +314,7 @@ def test_a_ramp_by_chance_beside_a_heading_reference_adds_what_a_usual_gyro_drif
 @pytest.mark.parametrize('is_ramp', [False, True])
 def test_a_change_that_a_ramp_explains_may_go_on(is_ramp: bool) -> None:
     """At the rate of the ramp, until turns show a constant scale factor."""
-    watch, state = some_watch()
+    watch, state = some_watch(is_stored=True)
     ramp, information, step = 0.015, np.full(COLUMNS, 1e7), np.full(COLUMNS, 0.002)
     step[RAMP], information[RAMP] = ramp, 1e7 * (0.002 / ramp) ** 2 * (0.9 if is_ramp else 0.1)
     update = UpdateStats(100.0, 100, information=np.diag(information), score=information * step)

@@ -115,7 +115,7 @@ class CalibrationWatch:
         if camera is not None:
             camera.add(duration_s, updates)
         sums = None if camera is None else camera.sums
-        turned_rad = abs(float(predicted.mean[YAW] - before.mean[YAW]))
+        turned_rad = float(predicted.mean[YAW] - before.mean[YAW])
         errors = HeadingErrors(
             tracks.common_px / self._focal_px, tracks.turn_px / self._focal_px, tracks.are_tracked
         )

@@ -25,6 +25,9 @@ INTERVALS = 3.0
 """Mean times between changes after which a next one is no longer expected."""
 JUMP_S = 20.0
 """Time in which a jump shows; what takes longer is a drift."""
+CONFIRMED_RAD = math.pi / 2.0
+"""Turn to either side that confirms a changed scale factor: one that the gyro has to one side only, or at one
+rate, looks like a change at the first turn of another kind."""
 
 
 @quickly_filled
@@ -78,21 +81,34 @@ class FollowedChanges:
     """Mean time between them."""
     age_s: float = 0.0
     """Time since the last one."""
+    left_rad: float = math.inf
+    """Turn to the left that was measured since the last one; infinite where that needs no confirmation."""
+    right_rad: float = math.inf
+    """The same to the right."""
 
-    def after(self, duration_s: float) -> FollowedChanges:
-        """Return them after some time."""
-        return replace(self, age_s=self.age_s + duration_s)
+    def after(self, duration_s: float, turned_rad: float = 0.0) -> FollowedChanges:
+        """Return them after some time, and a turn that was measured, positive to the left."""
+        if not self.count:
+            return self
+        left_rad, right_rad = self.left_rad + max(turned_rad, 0.0), self.right_rad + max(-turned_rad, 0.0)
+        return replace(self, age_s=self.age_s + duration_s, left_rad=left_rad, right_rad=right_rad)
 
-    def with_one(self, value: float) -> FollowedChanges:
-        """Return them with one more."""
+    def with_one(self, value: float, *, is_stored: bool = False) -> FollowedChanges:
+        """Return them with one more; with that of a stored calibration, which was of another day."""
         count = self.count + 1
         mean_square = self.mean_square + (value**2 - self.mean_square) / count
         interval_s = self.interval_s + (self.age_s - self.interval_s) / self.count if self.count else 0.0
-        return FollowedChanges(count, mean_square, interval_s)
+        turned_rad = math.inf if is_stored else 0.0
+        return FollowedChanges(count, mean_square, interval_s, left_rad=turned_rad, right_rad=turned_rad)
 
     @property
     def std(self) -> float:
-        """Standard deviation of the next change; zero after a single one, and long after the last one."""
+        """Standard deviation of the next change; zero after a single one, and long after the last one.
+
+        Before the robot has turned to both sides since a change, that may be of one side only.
+        """
+        if min(self.left_rad, self.right_rad) < CONFIRMED_RAD:
+            return math.sqrt(self.mean_square)
         if self.count < 2:
             return 0.0
         expected_s = min(INTERVALS * self.interval_s, DRIFT_MEMORY_S)

@@ -211,9 +211,10 @@ class ScaleWatch:
             duration_s: length of the step.
             updates: its updates, the last one by the image or the heading.
             others: errors that are tested beside.
-            turned_rad: by how much the robot has turned in the step.
+            turned_rad: by how much the robot has turned to the left in the step.
             errors: of the headings.
         """
+        is_measured, side_rad, turned_rad = bool(updates and updates[-1].dof), turned_rad, abs(turned_rad)
         for stats in updates:
             if stats.information is not None and stats.score is not None:
                 self._sums = scores_added(
@@ -226,10 +227,9 @@ class ScaleWatch:
         self._is_turning = turned_rad > TURNING_RAD_S * duration_s
         self._unchanged_s += duration_s
         self._running_s += duration_s
-        is_measured = bool(updates and updates[-1].dof)
         self._significant_s += duration_s if is_measured and self._significant_s > 0.0 else 0.0
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
-        self._followed = self._followed.after(duration_s)
+        self._followed = self._followed.after(duration_s, side_rad if is_measured else 0.0)
         values, variances, sigmas = scale_changes(
             self._sums, NOTHING if others is None else others, MAX_STD**-2.0, RAMP_S
         )
@@ -311,10 +311,10 @@ class ScaleWatch:
         is_ramp = change.was_calibrated and self._ramp_sigma**2 > change.sigma**2 - CHANCE_SIGMA**2
         self._drift = abs(self._ramp) if is_ramp and abs(self._ramp) < FASTEST_DRIFT else 0.0
         self._unchanged_s = self._significant_s = 0.0
-        self._is_stored = False
         self._calibrating_turn_rad = float(self._turned_rad[change.column - self._first])
         if change.was_calibrated or self._followed.count:
-            self._followed = self._followed.with_one(change.value)
+            self._followed = self._followed.with_one(change.value, is_stored=self._is_stored)
+        self._is_stored = False
         std = math.hypot(change.std, NOT_LINEAR * change.value)
         return self.begin(add_lacking(state, change.column, change.value, std))
 

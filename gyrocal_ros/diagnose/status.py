@@ -217,13 +217,12 @@ def missing_sentence(
     """Return which effects a model lacks, in one or two sentences.
 
     Args:
-        missing: names of missing effects, each with the effects that this recording cannot distinguish
-            from it.
+        missing: names of missing effects, that which explains most first, each with the effects that this
+            recording cannot distinguish from it.
         structure: unexplained structure, if there is any.
         otherwise: sentence for a model that lacks nothing.
     """
-    clear_first = sorted(missing, key=lambda name: bool(missing[name]))
-    listed = join([_with_twins(name, missing[name]) for name in clear_first])
+    listed = join([_with_twins(name, twins) for name, twins in missing.items()])
     sentences = [f'Missing: {listed}.'] if missing else []
     if structure is not None:
         what = f'{structure.what} ({structure.sigma:.0f} sigma)'

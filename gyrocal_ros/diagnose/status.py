@@ -251,8 +251,13 @@ def improvement_status(improved: Improvement) -> Status:
         return Status('green', f'{added}.')
     if improved.fell_sigma > CHANCE_SIGMA:
         return Status('green', f'{added}: the held-out drift went {change}.')
-    sentence = f'{added}: the recording is predicted better, but the held-out drift went {change}'
-    return Status('yellow', f'{sentence}, no more than by chance.', 'Test the model on another recording.')
+    sure = f' ({improved.fell_sigma:.1f} sigma)' if improved.fell_sigma > 0.0 else ''
+    drift = f'that the held-out drift went {change} may be chance{sure}'
+    return Status(
+        'yellow',
+        f'{added}: the recording is predicted better; {drift}.',
+        'Test the model on another recording.',
+    )
 
 
 def comparison_status(comparison: Comparison) -> Status:

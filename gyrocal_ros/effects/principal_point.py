@@ -49,4 +49,6 @@ class PrincipalPoint:
 
     def pixels_by_values(self, seen: SeenPoints, values: Array) -> Array:
         """Return the motion of the pixels with the principal point."""
-        return np.broadcast_to(BY_CENTRE, (len(seen.pixels), 2, 2))
+        by_values = np.empty((len(seen.pixels), 2, 2))
+        by_values[:] = BY_CENTRE
+        return by_values

@@ -11,6 +11,8 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.sensor import Coefficient, Place, TypicalRange
 
+BY_READOUT = np.ones(1)
+
 
 @dataclass(frozen=True)
 class RollingShutter:
@@ -41,4 +43,4 @@ class RollingShutter:
 
     def readout_s(self, values: Array) -> tuple[float, Array]:
         """Return the time from the first row to the last one, and the derivative (1,)."""
-        return float(values[0]), np.ones(1)
+        return float(values[0]), BY_READOUT

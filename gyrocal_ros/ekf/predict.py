@@ -290,10 +290,11 @@ def _noise_of(block: MotionBlock, model: FilterModel, rate_rad_s: Array, unknown
         walks[0] = math.hypot(walks[0], gyro.scale_walk)
     tilt_walk = math.hypot(walk, MISALIGNMENT_RAD * model.rate_change_rad_s / math.sqrt(block.duration_s))
     slow_rad = SLOW_TILT_RAD_S * block.duration_s
-    missed_rad = gyro.tilt_scale_std * np.maximum(np.abs(block.dt_s @ rate_rad_s[:, :2]) - slow_rad, 0.0)
+    per_rad = gyro.tilt_scale_std / math.sqrt(block.duration_s)
+    missed = [per_rad * max(abs(tilt) - slow_rad, 0.0) for tilt in (block.dt_s @ rate_rad_s[:, :2]).tolist()]
     tilt_density = density if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s
     return BlockNoise(
-        np.hypot(tilt_density, missed_rad / math.sqrt(block.duration_s)),
+        np.hypot(tilt_density, missed),
         yaw_density,
         math.radians(gyro.gap_rate_std_deg_s) * block.gap_s,
         unknown_rad,

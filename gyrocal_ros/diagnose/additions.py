@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.drift import blind_drift, drift_of_both_deg, held_out_from_s
 from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
-from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg
+from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg, model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.effects.traits import has_impossible_sign
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
@@ -65,7 +65,7 @@ class Addition:
 
     @cached_property
     def is_kept(self) -> bool:
-        """True if the recording is predicted better with it, it is not negligible, and nothing drifts more.
+        """True if the recording is predicted better with it, it is not negligible, and nothing gets worse.
 
         A closed form need only predict as well as the curve. So does noise that the readings themselves show,
         for the filter takes it over. What the filter cannot run without is kept.
@@ -75,12 +75,21 @@ class Addition:
         least = self.after.settings.min_predictive_gain
         predicts = self.predictive_gain > (-least if self.is_rewritten or self.is_shown else least)
         counts = self.stands_out and not self.is_negligible
-        return predicts and counts and not self.is_rejected and not self.raises_drift
+        gets_worse = self.is_rejected or self.raises_drift or self.spoils_fit
+        return predicts and counts and not gets_worse
 
     @property
     def is_negligible(self) -> bool:
         """True if all of its strengths are far smaller than in real sensors: the trace of something else."""
-        return self.is_below(self.after.settings.min_usual_part)
+        settings, is_of_camera = self.after.settings, self.effect.acts_on == 'camera'
+        return self.is_below(settings.min_usual_part_camera if is_of_camera else settings.min_usual_part)
+
+    @property
+    def spoils_fit(self) -> bool:
+        """True if the model fits without it and not with it: what it stands for is not constant."""
+        if self.before is None or not model_fit(self.before.run).fits:
+            return False
+        return model_fit(self.after.run).fits is False
 
     def is_below(self, part: float) -> bool:
         """Return True if all of its strengths are smaller than a part of the smallest usual ones.

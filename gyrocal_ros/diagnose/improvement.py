@@ -224,6 +224,9 @@ def _reason(added: Addition) -> str:
         return f'the recording is predicted worse (log-likelihood -{size})'
     if added.raises_drift:
         return f'the recording is predicted better (log-likelihood +{size}), but it drifts more'
+    if added.spoils_fit:
+        what = f'the recording is predicted better (log-likelihood +{size})'
+        return f'{what}, but the model fits without it and not with it: it is not constant'
     if added.is_rejected:
         what = f'the recording is not predicted clearly better (log-likelihood +{size})'
         return f'{what}, or it drifts more, or the model does not fit with it either'

@@ -79,6 +79,13 @@ class DiagnosisSettings:
         'seldom leave such traces. What fades counts with strength times time constant',
         'pairs of effects',
     )
+    min_usual_part_camera: float = threshold(
+        0.3,
+        '1',
+        'the same for an effect on the camera: no camera is calibrated exactly, slow errors of tracks look '
+        'like such effects, and the scale factor does not suffer from them',
+        'recordings of images',
+    )
     min_judgeable_part: float = threshold(
         0.5,
         '1',

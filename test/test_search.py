@@ -405,7 +405,12 @@ class TestSearch:
     @pytest.mark.slow
     @pytest.mark.parametrize(
         ('lag', 'gain', 'first'),
-        [(-2.0, 100.0, 'scale_cubic'), (-2.0, 200.0, 'gyro_lag'), (2.0, 100.0, 'gyro_lag')],
+        [
+            (-2.0, 100.0, 'scale_cubic'),
+            (-2.0, 108.0, 'scale_cubic'),
+            (-2.0, 200.0, 'gyro_lag'),
+            (2.0, 100.0, 'gyro_lag'),
+        ],
     )
     def test_of_two_that_look_alike_the_one_with_an_impossible_sign_gives_way(
         self, lag: float, gain: float, first: str

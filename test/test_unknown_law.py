@@ -33,9 +33,9 @@ from gyrocal_ros.sim.world import SimSource
 DEG = math.radians(1.0)
 
 
-def diagnosed(name: str, values: tuple[float, ...], seconds: float = 80.0) -> Diagnosis:
+def diagnosed(*drawn: DrawnEffect, seconds: float = 80.0) -> Diagnosis:
     scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=4)
-    hidden = hide((DrawnEffect(name, values),), find_effect)
+    hidden = hide(drawn, find_effect)
     source, config = preload(SimSource(scenario, 1, hidden=hidden), Config(), default_model())
     recorded = summarise_recording(source)
 
@@ -55,11 +55,24 @@ def diagnosed(name: str, values: tuple[float, ...], seconds: float = 80.0) -> Di
     ids=['so large that the filter diverges', 'whose headings seem to follow the time'],
 )
 def test_the_signal_of_an_unknown_law_is_named(name: str, values: tuple[float, ...], signal: str) -> None:
-    found = diagnosed(name, values)
+    found = diagnosed(DrawnEffect(name, values))
     assert found.verdict == 'unexplained' and found.missing == ()
     assert found.unexplained is not None and found.unexplained.shape.signal == signal
     status = diagnosis_status(found)
     assert status.level == 'red' and f'goes with {signal}' in status.sentence
+
+
+@pytest.mark.slow
+def test_a_law_is_named_beside_an_effect_that_gains_far_more() -> None:
+    late, strange = (
+        DrawnEffect('camera_time_offset', (0.05,)),
+        DrawnEffect('stranger_scale_heading', (0.015, 0.5)),
+    )
+    found = diagnosed(late, strange)
+    assert [item.effect.name for item in found.missing] == ['camera_time_offset']
+    assert found.verdict == 'unexplained' and found.unexplained is not None
+    assert found.unexplained.gain < 0.1 * found.missing[0].gain
+    assert 'the scale goes with heading in the map' in diagnosis_status(found).sentence
 
 
 def law(effect: Effect, *values: float) -> Any:

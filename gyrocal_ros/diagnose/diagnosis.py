@@ -241,7 +241,7 @@ def _verdict(
 ) -> str:
     if fit.mounting:
         return 'cannot_tell'
-    if left is not None and left.gain > settings.leftover_part * sum(item.gain for item in missing):
+    if left is not None and _outweighs(left, missing, fit, settings):
         return 'cannot_tell' if is_coarse else 'unexplained'
     if missing and fit.fits is not False and all(is_noise(item.effect) for item in missing):
         return 'noise'
@@ -253,6 +253,14 @@ def _verdict(
     basic = [name for name, effect in EFFECTS.items() if shows_in_any_turns(effect)]
     judged = [name for name in basic if name not in not_judged]
     return 'nothing_missing' if len(judged) >= settings.min_judgeable_part * len(basic) else 'cannot_tell'
+
+
+def _outweighs(
+    left: UnexplainedStructure, missing: list[MissingEffect], fit: ModelFit, settings: DiagnosisSettings
+) -> bool:
+    """Return True if what is left is more than the effects found leave by being inexact."""
+    is_contradicted = left.is_confirmed and fit.fits is False
+    return is_contradicted or left.gain > settings.leftover_part * sum(item.gain for item in missing)
 
 
 def _not_judged(examined: ExaminedModel, recording: RecordingSummary) -> Iterator[tuple[str, str]]:

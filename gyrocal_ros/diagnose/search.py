@@ -53,6 +53,8 @@ DRIFT_BY_NOISE = 1.2
 """Held-out drift, relative to what noise explains, up to which noise explains all of it."""
 MAX_TRIES = 2
 """Number of times that one effect is tried: one that was rejected may help beside others found since."""
+NEARLY = 0.9
+"""Part of the gain of an effect with an impossible sign that another effect has to have to take its place."""
 
 
 def search(
@@ -345,15 +347,16 @@ def _contested(
     """Return the last addition, or an effect that looks like it if a run with that predicts clearly better.
 
     To first order the wrong effect may look like the true one, and even a little better; not in a run. Where
-    a few moments make the run better, it says nothing: then both stay indistinguishable, and one with a sign
-    that is impossible gives way.
+    a few moments make the run better, it says nothing: then both stay indistinguishable. One with a sign that
+    is impossible gives way to one that is nearly as good.
     """
     if last.before is None:
         return last
     settings = last.before.settings
     additions = [last]
     excluded = {last.effect.name} if last.is_impossible else tried
-    for rival in _rivals(last.before, last.effect.name, excluded):
+    part = NEARLY if last.is_impossible else math.inf
+    for rival in _rivals(last.before, last.effect.name, excluded, part):
         with suppress(*CANNOT_RUN):
             additions.append(with_one_more(last.before, rival.effect, recording, calibrate))
 
@@ -374,13 +377,15 @@ def _contested(
 
 
 def _is_as_good(item: Addition, best: Addition) -> bool:
-    """Return True if an addition is possible and predicts as well as the best one but for chance."""
+    """Return True if an addition is possible and predicts nearly as well as the best one, but for chance."""
     lost = vuong_sigma(predictive_gain(item.after.run, best.after.run))
-    return item.is_kept and not item.is_impossible and lost <= item.after.settings.indistinguishable_sigma
+    is_close = lost <= item.after.settings.indistinguishable_sigma
+    is_close = is_close or item.predictive_gain > NEARLY * best.predictive_gain
+    return item.is_kept and not item.is_impossible and is_close
 
 
-def _rivals(present: ExaminedModel, name: str, tried: set[str]) -> list[RankedEffect]:
-    """Return untried effects that look like one of that name, the likeliest first.
+def _rivals(present: ExaminedModel, name: str, tried: set[str], part: float) -> list[RankedEffect]:
+    """Return untried effects that look like one of that name, or gain a part of its gain, the best first.
 
     Effects with a scan are left out: the filter finds a time constant only from nearby, so a run is no fair
     test of them.
@@ -390,4 +395,5 @@ def _rivals(present: ExaminedModel, name: str, tried: set[str]) -> list[RankedEf
         return []
     others = [item for item in present.ranked if item.effect.name not in tried and item.profile is None]
     names = set(indistinguishable(found, others, present.scores, NONE, present.settings))
-    return [item for item in others if item.effect.name in names][: present.settings.max_rivals]
+    close = [item for item in others if item.effect.name in names or item.fit.gain > part * found.fit.gain]
+    return close[: present.settings.max_rivals]

@@ -77,6 +77,8 @@ class UnexplainedStructure:
     shape: ErrorShape
     at_s: float | None = None
     """Moment of the jump, if it is a jump of the bias."""
+    is_confirmed: bool = False
+    """True if a run with a law for it predicts the recording better."""
 
 
 def unexplained_structure(

@@ -153,7 +153,7 @@ def _structure(law: Addition) -> UnexplainedStructure:
         learned = learned_curve(law.after, effect)
         every = slice(None, None, SHOWN)
         shape = replace(shape, knots=learned.x[every], values=learned.y[every], stds=learned.std[every])
-    return UnexplainedStructure(what, law.predictive_gain, law.sigma, shape, at_s)
+    return UnexplainedStructure(what, law.predictive_gain, law.sigma, shape, at_s, is_confirmed=True)
 
 
 def _in_words(of: str, size: float, sign: str = '') -> str:

@@ -93,6 +93,8 @@ class FakeFilter:
     shown_in: tuple[int, ...] = (3,)
     unbent_by: str = ''
     """Effect with which the headings show no structure."""
+    looks_like: dict[str, str] = field(default_factory=dict)
+    """Effects of one coefficient that act for the most part as another one does."""
     models: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(self, model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
@@ -143,7 +145,9 @@ class FakeFilter:
 
         def columns(effect: Effect) -> Array:
             rng = np.random.default_rng(sum(map(ord, effect.name)))
-            return rng.normal(size=(blocks, each, len(effect.coefficients)))
+            own = rng.normal(size=(blocks, each, len(effect.coefficients)))
+            other = self.looks_like.get(effect.name)
+            return own if other is None else 0.8 * columns(find_effect(other)) + 0.6 * own
 
         missing = {name: size for name, size in self.hidden.items() if name not in names}
         measured = noise
@@ -251,6 +255,20 @@ class TestSearch:
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
         (added,) = search(default_model(), AT_REST, fake, settings=strict).additions
         assert added.stands_out and added.is_kept == is_kept and added.is_negligible != is_kept
+
+    @pytest.mark.parametrize('is_there', [False, True])
+    def test_beside_a_trace_only_what_it_does_not_explain_counts(self, is_there: bool) -> None:
+        """Images that are a little late are no reason to name an effect that shows in turns as they do."""
+        (usual,) = find_effect('gyro_lag').coefficients
+        assert usual.typical is not None
+        strict = replace(DEFAULT_SETTINGS, min_usual_part=1.1 * 2.0 / usual.typical.low)
+        sizes = {'gyro_lag': 2.0} | ({'scale_cubic': 2.0} if is_there else {})
+        fake = FakeFilter(sizes, dict.fromkeys(sizes, 400.0), looks_like={'scale_cubic': 'gyro_lag'})
+        found = search(default_model(), AT_REST, fake, settings=strict)
+        alike = found.first.find('scale_cubic')
+        assert alike is not None and alike.is_significant
+        names = [item.effect.name for item in found.additions]
+        assert 'gyro_lag' in names and ('scale_cubic' in names) == is_there
 
     @pytest.mark.parametrize(
         ('size', 'constant', 'is_negligible'),

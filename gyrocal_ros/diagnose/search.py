@@ -41,6 +41,7 @@ from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import unexplained_structure
 from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.diagnose.traces import best_beside, traces
 from gyrocal_ros.effects.traits import is_estimated
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
@@ -70,8 +71,7 @@ def search(
         model: the present sensor model.
         recording: summary of the recording.
         calibrate: runs the filter.
-        most: number of effects to try. Each needs one run of the filter; further runs are the first one,
-            and one for each effect that looks like the last one found.
+        most: number of effects to try, each in a run of its own.
         settings: thresholds.
 
     Raises:
@@ -136,9 +136,8 @@ def continued(
 ) -> list[Addition]:
     """Add one effect after the other, until nothing more is found or enough were tried.
 
-    Coefficients that were inexact at the start of the run leave errors that look like further effects, and
-    spoil the scatter by which a weak one is judged. So before an effect is tried that gains little beside
-    those found, the filter runs again from the estimates.
+    Coefficients that were inexact at the start leave errors that look like further effects, and spoil the
+    scatter that judges weak ones. So before one is tried that gains little, the filter runs again from there.
 
     Args:
         additions: what was added before.
@@ -153,7 +152,7 @@ def continued(
     while len(found) < most:
         least_gain = 0.0 if is_exact else _residual_gain(found, present.settings)
         excluded = _not_to_try(found) | without
-        following = _next_addition(present, recording, calibrate, excluded, least_gain)
+        following = _next_addition(present, recording, calibrate, excluded, least_gain, traces(found))
         is_first = not any(item.is_kept for item in found)
         if following is None and (is_exact or is_first):
             following = _uneven_addition(present, recording, calibrate, excluded, is_first=is_first)
@@ -260,6 +259,7 @@ def _next_addition(
     calibrate: Calibrate,
     excluded: set[str],
     least_gain: float,
+    beside: set[str],
 ) -> Addition | None:
     """Add the best explanation, unless nothing is missing or nothing known explains it.
 
@@ -269,9 +269,10 @@ def _next_addition(
         calibrate: runs the filter.
         excluded: names of effects not to try.
         least_gain: log-likelihood that an effect has to gain.
+        beside: names of traces, beside which it has to be significant.
     """
     settings = present.settings
-    best = best_explanation(present.ranked, present.scores, excluded, settings)
+    best = best_beside(present, excluded, beside)
     if best is not None and best.fit.gain < least_gain:
         best = None
     structure = present.unexplained_structure

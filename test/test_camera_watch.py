@@ -209,3 +209,13 @@ def test_the_recent_nis_is_that_of_the_last_measured_steps() -> None:
     for i in range(CONSISTENCY_STEPS):
         watch.add(1.0 + 0.1 * i, 1e-4, 1.0, 2, config)
     assert watch.recent_nis == pytest.approx(0.5) and watch.overall_nis > watch.recent_nis
+
+
+def test_innovations_that_stay_small_are_no_reason_for_distrust() -> None:
+    """Early, the noise is not learned; later, the features are better than the filter assumes."""
+    watch, config = Convergence(), ConvergenceConfig()
+    for i in range(CONSISTENCY_STEPS):
+        assert not watch.is_consistent(config) and watch.is_too_calm(config) == (i > 0)
+        watch.add(0.1 * i, 1e-4, 0.3, 1, config)
+    assert watch.is_consistent(config) and not watch.is_too_calm(config)
+    assert watch.inflation == 1.0

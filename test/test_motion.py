@@ -18,7 +18,7 @@ from gyrocal_ros.data import (
     nanoseconds,
     seconds,
 )
-from gyrocal_ros.ekf.motion import GAP_NS, WHEEL_TIMEOUT_NS, MotionBuffer
+from gyrocal_ros.ekf.motion import GAP_NS, LEAD_PART, WHEEL_TIMEOUT_NS, MotionBuffer
 
 START_NS = 1_700_000_000_000_000_000
 
@@ -56,7 +56,8 @@ def test_edges_are_interpolated() -> None:
     block = buffer.cut(at(0.004), at(0.015))
     np.testing.assert_allclose(block.dt_s, [0.006, 0.005])
     np.testing.assert_allclose(block.time_s, [0.007, 0.0125])
-    np.testing.assert_allclose(block.rate_rad_s[:, 2], [0.07, 0.15])
+    lead_rad = LEAD_PART * 0.01 * (0.3 - 0.1)
+    np.testing.assert_allclose(block.rate_rad_s[:, 2], np.array([0.07, 0.15]) - lead_rad / 0.011)
     np.testing.assert_allclose(block.specific_force_m_s2[:, 0], [0.007, 0.0125])
     assert block.duration_s == pytest.approx(0.011)
     assert block.gap_s == 0.0
@@ -65,7 +66,7 @@ def test_edges_are_interpolated() -> None:
 
 
 def test_blocks_partition_the_whole_turn_and_the_whole_distance() -> None:
-    """Check trapezoids of the gyro and steps of the wheels for random sample times and cuts."""
+    """Check trapezoids of the gyro less their lead, and steps of the wheels, for random samples and cuts."""
     rng = np.random.default_rng(3)
     imu_s = np.cumsum(rng.integers(2_000_000, 20_000_000, 400)) * 1e-9
     rates = rng.normal(size=400)
@@ -87,7 +88,9 @@ def test_blocks_partition_the_whole_turn_and_the_whole_distance() -> None:
     def turned(until_s: float) -> float:
         grid = np.append(imu_s[imu_s < until_s], until_s)
         at_nodes = np.interp(grid, imu_s, rates)
-        return float(0.5 * (at_nodes[1:] + at_nodes[:-1]) @ np.diff(grid))
+        later = max(int(np.searchsorted(imu_s, until_s - 1e-10)), 1)
+        lead = LEAD_PART * (imu_s[later] - imu_s[later - 1]) * (rates[later] - rates[later - 1])
+        return float(0.5 * (at_nodes[1:] + at_nodes[:-1]) @ np.diff(grid) - (lead if len(grid) > 1 else 0.0))
 
     def travelled(until_s: float) -> float:
         steps = np.concatenate([[0.0], speeds[1:] * np.diff(wheel_s)])
@@ -98,6 +101,32 @@ def test_blocks_partition_the_whole_turn_and_the_whole_distance() -> None:
         assert block.dt_s.sum() == pytest.approx(end_s - start_s, abs=1e-12)
         assert block.rate_rad_s[:, 2] @ block.dt_s == pytest.approx(turned(end_s) - turned(start_s), abs=1e-9)
         assert block.distance_m.sum() == pytest.approx(travelled(end_s) - travelled(start_s), abs=1e-9)
+
+
+@pytest.mark.parametrize('is_mean', [False, True], ids=['the rate at the stamp', 'the mean about it'])
+def test_the_turn_is_right_while_the_robot_accelerates(is_mean: bool) -> None:
+    """Interpolated rates lead by an eighth or a twelfth of the squared interval times the acceleration."""
+    interval_s, acceleration, final = 0.01, 7.0, 2.0
+
+    def turned(time_s: float, start_s: float) -> float:
+        rising_s = min(max(time_s - start_s, 0.0), final / acceleration)
+        return 0.5 * acceleration * rising_s**2 + final * max(time_s - start_s - rising_s, 0.0)
+
+    leads: list[float] = []
+    at_end: list[float] = []
+    for start_s in 0.1 + interval_s * np.arange(20) / 20.0:
+        buffer, half_s = MotionBuffer(), 0.5 * interval_s if is_mean else 1e-6
+        for i in range(100):
+            before, after = (turned(i * interval_s + side * half_s, start_s) for side in (-1.0, 1.0))
+            buffer.add(imu(i * interval_s, (after - before) / (2.0 * half_s)))
+        by_blocks = 0.0
+        for a, b in pairwise((0.0, 0.25, 0.33, 0.8)):
+            block = buffer.cut(at(a), at(b))
+            by_blocks += float(block.rate_rad_s[:, 2] @ block.dt_s)
+            (leads if b < 0.35 else at_end).append(by_blocks - turned(b, start_s))
+    assert abs(np.mean(leads)) < 0.3 * interval_s**2 * acceleration * (0.125 if is_mean else 0.083)
+    np.testing.assert_allclose(at_end, 0.0, atol=0.25 * interval_s**2 * acceleration)
+    assert abs(np.mean(at_end)) < 1e-6
 
 
 @pytest.mark.parametrize('block_s', [0.03, 0.1, 0.25])

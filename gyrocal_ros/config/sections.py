@@ -327,7 +327,12 @@ class ConvergenceConfig:
         5e-3, '1', 'the same with a heading reference in place of the camera', low=1e-7, high=1.0
     )
     nis_low: float = setting(
-        0.5, '', 'smallest NIS per degree of freedom of a healthy filter', low=0.0, high=1.0, live=True
+        0.5,
+        '',
+        'smallest NIS per degree of freedom of a healthy filter, as long as it learns the noise',
+        low=0.0,
+        high=1.0,
+        live=True,
     )
     nis_high: float = setting(
         3.0, '', 'largest NIS per degree of freedom of a healthy filter', low=1.0, high=100.0, live=True

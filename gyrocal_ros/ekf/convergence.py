@@ -88,12 +88,16 @@ class Convergence:
         """Return True if the innovations are as large as expected, recently and overall.
 
         The last steps show the present consistency. The whole run shows errors that the noise estimate has
-        absorbed since, as where the camera calibration is wrong.
+        absorbed since, as where the camera calibration is wrong. Innovations that stay small are those of
+        features better than the filter assumes.
         """
         if self._after_change and len(self._recent) < STEPS_AFTER_CHANGE:
             return False
-        is_not_too_small = self.has_measured and self.recent_nis >= config.nis_low
-        return is_not_too_small and not self.is_contradicted(config)
+        return self.has_measured and not self.is_too_calm(config) and not self.is_contradicted(config)
+
+    def is_too_calm(self, config: ConvergenceConfig) -> bool:
+        """Return True while innovations are small because the noise is not estimated yet."""
+        return self.has_measured and not self.is_settled and self.recent_nis < config.nis_low
 
     def is_contradicted(self, config: ConvergenceConfig) -> bool:
         """Return True if the innovations are larger than expected; smaller ones are only conservative."""

@@ -37,6 +37,11 @@ VIBRATION_S = 0.05
 """Time constant of the estimate of the vibration. What the vibration does to the heading adds up, so a longer
 one makes nothing more certain; and where the robot starts or stops, a late estimate looks like an effect of
 the acceleration."""
+LEAD_PART = 0.1
+"""Turn by which interpolated rates lead, in squared sample intervals times the yaw acceleration. By the rule
+of Euler and Maclaurin it is 1/12 where a reading is the rate at its stamp, and 1/8 where it is the mean about
+that. The lead ends as the turn does, but the filter would learn a scale factor that is too large by 5e-5, for
+it compares turns between images."""
 WHEEL_TIMEOUT_NS = 300_000_000
 """Maximum lag of the encoders behind the IMU; beyond it, prediction continues without them."""
 
@@ -77,6 +82,7 @@ class MotionBuffer:
         self._usual_interval_ns = float(GAP_NS)
         self._imu: list[tuple[float, ...]] = []
         self._vibration_m2_s4: float | None = None
+        self._lead_rad = 0.0
         self._travelled = _Signal()
         self._turned = _Signal()
         self._speeds: list[tuple[float, float]] = []
@@ -144,6 +150,7 @@ class MotionBuffer:
         block = self.look(start_ns, end_ns)
         if len(block.dt_s) > 2:  # fewer samples do not determine the vibration
             self._vibration_m2_s4 = float(block.vibration_m2_s4[0])
+        self._lead_rad = self._lead_at(end_ns)
         self.forget_before(end_ns)
         return block
 
@@ -157,6 +164,7 @@ class MotionBuffer:
             times_ns, nodes, self._travelled.t_ns, self._travelled.values, self._turned.values
         )
         distance_m, wheel_turn_rad = by_wheels
+        rate_rad_s[:, 2] -= (self._lead_at(end_ns) - self._lead_rad) / seconds(end_ns - start_ns)
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
         covariates[SPEED_SIGNAL] = distance_m / dt_s
         return MotionBlock(
@@ -194,6 +202,14 @@ class MotionBuffer:
         part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
         before = self._imu[after - 1]
         return tuple([a + part * (b - a) for a, b in zip(before, self._imu[after], strict=True)])
+
+    def _lead_at(self, t_ns: int) -> float:
+        """Return the turn by which interpolated rates lead at a time, see `LEAD_PART`; zero in a gap."""
+        after = min(bisect_left(self._imu_ns, t_ns), len(self._imu_ns) - 1)
+        interval_ns = self._imu_ns[after] - self._imu_ns[after - 1] if after else 0
+        if not 0 < interval_ns <= GAP_NS:
+            return 0.0
+        return LEAD_PART * seconds(interval_ns) * (self._imu[after][2] - self._imu[after - 1][2])
 
     def _vibration(self, scatter_m2_s4: float, duration_s: float) -> float:
         """Return the vibration after a block whose samples scatter by this: with exponential forgetting."""

@@ -218,7 +218,7 @@ class Estimator:
                 f'degree of freedom, up to {limits.nis_high:g} is consistent; the last good calibration is '
                 f'used; check {words.to_check}'
             )
-        elif nis < limits.nis_low:
+        elif self.watch.is_too_calm(limits):
             yield (
                 f'the images are less noisy than the filter assumes (NIS {nis:.1f}, from {limits.nis_low:g} '
                 'on is consistent): it adapts to that, or lower camera.pixel_noise_px'

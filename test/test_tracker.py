@@ -219,18 +219,6 @@ def test_an_occluded_feature_is_reacquired_with_its_id_and_ids_are_unique(render
     assert len(common) >= 8
 
 
-def test_a_faint_ceiling_is_tracked_beside_something_of_high_contrast(renderer: CeilingRenderer) -> None:
-    """A lamp or a person has corners a thousand times as strong."""
-    tracker, R_wc = Tracker(CAMERA, CONFIG), attitude(0.0)
-    image = 100.0 + 0.08 * (renderer.render(R_wc, np.array([0.0, 0.0, 0.1])) - 100.0)
-    image += np.random.default_rng(0).normal(0.0, 0.3, image.shape)
-    image[200:280, 280:360] = np.kron(np.indices((2, 2)).sum(axis=0) % 2, np.full((40, 40), 235.0))
-    unknown = SearchRegions(0, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-    found = tracker.track(Frame(0, np.rint(image).astype(np.uint8)), R_wc, unknown)
-    beside = np.abs(found.pixels - [320.0, 240.0]).max(axis=1) > 60.0
-    assert beside.sum() >= 5
-
-
 @pytest.mark.slow
 def test_a_feature_lost_for_long_is_dropped(renderer: CeilingRenderer) -> None:
     drive = RenderedDrive(renderer, replace(CONFIG, reacquire_s=1.0))

@@ -64,10 +64,6 @@ MAX_UNUSED_SHARE = 0.5
 """Largest number of such features that are replaced, as a share of those wanted."""
 MAX_NOISE_PX = 0.1
 """Limit of the position noise of a new corner, as far as it is caused by the image noise."""
-FAINT_QUALITY = 1e-6
-"""Harris response of a corner relative to the best one, where there are few: a contrast of 1 in 30."""
-FEW_PART = 0.34
-"""Part of the wanted features below which there are few."""
 
 
 AS_COMPLEX = np.array([1.0, 1.0j])
@@ -331,27 +327,15 @@ class Tracker:
         if missing <= 0 or (self._frames_to_detection > 0 and missing <= len(seen)):
             return np.zeros((0, 2))
         self._frames_to_detection = self.config.detect_interval
-        corners = self._new_corners(frame, taken, missing, self.config)
-        if len(seen) + len(corners) < FEW_PART * self.config.features:
-            # Beside a lamp or a person the ceiling itself is faint.
-            faint = replace(self.config, corner_quality=FAINT_QUALITY)
-            taken = np.concatenate([taken, corners])
-            fainter = self._new_corners(frame, taken, missing - len(corners), faint)
-            corners = np.concatenate([corners, fainter])
+        corners = find_corners(frame.image, taken, self._marks.pixels, self._margin_px, self.config)
+        information = extract_patches(frame.image, corners, self._size_px).information
+        precise = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
+        limit = max(0.0, self.config.min_correlation)
+        usable = recognisable(frame.image, corners[precise], self._size_px, limit)
+        corners = np.array(list(islice(usable, missing)), dtype=np.intp).reshape(-1, 2)
         self._features += self._new_features(frame, R_wc, corners)
         self._next_id += len(corners)
         return corners.astype(float)
-
-    def _new_corners(
-        self, frame: Frame, taken: Array, missing: int, config: TrackerConfig
-    ) -> NDArray[np.intp]:
-        """Return the whole pixels (k, 2) of corners that can be matched precisely and found again."""
-        corners = find_corners(frame.image, taken, self._marks.pixels, self._margin_px, config)
-        information = extract_patches(frame.image, corners, self._size_px).information
-        precise = information * MAX_NOISE_PX**2 > noise_level(frame.image) ** 2
-        limit = max(0.0, config.min_correlation)
-        usable = recognisable(frame.image, corners[precise], self._size_px, limit)
-        return np.array(list(islice(usable, missing)), dtype=np.intp).reshape(-1, 2)
 
     def _new_features(self, frame: Frame, R_wc: Array, corners: NDArray[np.intp]) -> Features:
         nodes = corners[:, None] + node_offsets(self._size_px)

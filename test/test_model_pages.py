@@ -259,6 +259,10 @@ class TestSeries:
         np.testing.assert_allclose(drawn.std[0], missing.stds[0] * 100.0)
         followed = find_effect('covariate_bias:battery_state.current')
         assert effect_curve(replace(missing, effect=followed)) is None
+        early = replace(
+            missing, effect=find_effect('gyro_lag'), values=np.array([-0.003]), stds=np.array([1e-5])
+        )
+        assert effect_curve(early) is None, 'a negative lag runs away'
 
     def test_coefficients_are_shown_in_degrees(self, searched: Search) -> None:
         run = searched.last.run
@@ -466,6 +470,8 @@ class TestConclusions:
         assert diagnosis_status(swapped).sentence == (
             'Missing: bias_temperature (not distinguishable here from bias_warmup) and scale_asymmetry.'
         ), 'that which explains most comes first, as in the table'
+        many = {'bias_temperature': ('bias_warmup', 'a', 'b', 'c', 'd')}
+        assert missing_sentence(many).endswith('from bias_warmup, a, b or 2 others).')
         twins = {'scale_asymmetry': (), 'bias_temperature': ('bias_warmup',)}
         assert missing_sentence(twins) == diagnosis_status(case).sentence
 

@@ -18,6 +18,8 @@ MEND_STAMPS = (
     'Stamp images and IMU with one clock, when they are taken, not when they arrive; look at the '
     'synchronisation of the IMU board.'
 )
+MAX_TWINS = 3
+"""Number of effects that are listed in place of one."""
 CAUTION = (
     'A signal that changes slowly goes together with anything that changes slowly: '
     'find a reason, or make it change often, before you trust this.'
@@ -31,7 +33,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     sentences = [
         sentence
         for item in diagnosis.missing
-        for sentence in how_to_tell_apart(item.effect.name, item.confused_with)
+        for sentence in how_to_tell_apart(item.effect.name, item.confused_with[:MAX_TWINS])
     ]
     if diagnosis.unexplained is not None:
         sentences += _on_structure(diagnosis.unexplained)

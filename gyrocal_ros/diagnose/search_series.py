@@ -15,6 +15,7 @@ from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s,
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.sketch import sketch
+from gyrocal_ros.effects.traits import has_impossible_sign
 
 MAX_CANDIDATES = 18
 """Number of candidates up to which the significant ones are complemented by others."""
@@ -133,10 +134,11 @@ def effect_curve(found: MissingEffect) -> EffectCurve | None:
     The coefficients count as independent.
 
     Returns:
-        None for an effect that follows a recorded signal: `error_curves` has its curve.
+        None for an effect that follows a recorded signal, for `error_curves` has its curve, and for one with
+        a sign that no sensor has: a negative lag runs away.
     """
     effect = find_effect(found.effect.name)
-    if effect.about.shown_against == 'signal':
+    if effect.about.shown_against == 'signal' or has_impossible_sign(effect, found.values, found.stds):
         return None
 
     def curve(values: Array) -> Array:

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal, TypeAlias
 
-from gyrocal_ros.diagnose.advice import MEND_STAMPS, RECORD, join
+from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
@@ -287,4 +287,6 @@ def comparison_status(comparison: Comparison) -> Status:
 
 
 def _with_twins(name: str, twins: Sequence[str]) -> str:
-    return f'{name} (not distinguishable here from {join([*twins], "or")})' if twins else name
+    left = len(twins) - MAX_TWINS
+    listed = [*twins[:MAX_TWINS], f'{left} other{"s" if left > 1 else ""}'] if left > 0 else [*twins]
+    return f'{name} (not distinguishable here from {join(listed, "or")})' if twins else name

@@ -41,8 +41,8 @@ MAX_SHARE = 0.25
 """Share of contradicting images from which the filter has diverged: below crossing beams or moving patches of
 sun it is 0.2 at most."""
 CHECK_THE_CAMERA = (
-    'check the camera calibration, its mounting and the time stamps with `gyrocal check`; if these are right, '
-    'the gyro may be at fault: see what `gyrocal diagnose` says'
+    'check the camera calibration, its mounting and the time stamps with `gyrocal check`; '
+    'if these are right, the gyro may be at fault: see what `gyrocal diagnose` says'
 )
 
 

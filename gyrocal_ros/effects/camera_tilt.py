@@ -25,7 +25,8 @@ class CameraTilt:
     about: ClassVar[Explanation] = Explanation(
         physics='The camera does not look quite where its mounting says: a bent bracket, a screw '
         'tightened unevenly, a tilted lens. When the robot turns on the spot, the ceiling then turns '
-        'about another point of the image than expected.',
+        'about another point of the image than expected. It is the tilt against the IMU: one that is mounted '
+        'at an angle looks the same.',
         equation='R_bc = R_bc,given R(x, y)',
         usual_size='0.5 to 3 deg',
         best_motion='full turns on the spot',

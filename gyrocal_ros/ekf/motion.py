@@ -204,12 +204,16 @@ class MotionBuffer:
         return tuple([a + part * (b - a) for a, b in zip(before, self._imu[after], strict=True)])
 
     def _lead_at(self, t_ns: int) -> float:
-        """Return the turn by which interpolated rates lead at a time, see `LEAD_PART`; zero in a gap."""
+        """Return the turn by which interpolated rates lead at a time, see `LEAD_PART`; zero in a gap.
+
+        In a dropout the lead is that of the usual intervals before.
+        """
         after = min(bisect_left(self._imu_ns, t_ns), len(self._imu_ns) - 1)
         interval_ns = self._imu_ns[after] - self._imu_ns[after - 1] if after else 0
         if not 0 < interval_ns <= GAP_NS:
             return 0.0
-        return LEAD_PART * seconds(interval_ns) * (self._imu[after][2] - self._imu[after - 1][2])
+        acceleration = (self._imu[after][2] - self._imu[after - 1][2]) / seconds(interval_ns)
+        return LEAD_PART * (min(interval_ns, self._usual_interval_ns) / NS_PER_S) ** 2 * acceleration
 
     def _vibration(self, scatter_m2_s4: float, duration_s: float) -> float:
         """Return the vibration after a block whose samples scatter by this: with exponential forgetting."""

@@ -28,6 +28,7 @@ from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import examine, with_effect
 from gyrocal_ros.diagnose.improvement import improvement
+from gyrocal_ros.diagnose.look_alikes import look_alikes
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.search import continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
@@ -95,6 +96,8 @@ class FakeFilter:
     """Effect with which the headings show no structure."""
     looks_like: dict[str, str] = field(default_factory=dict)
     """Effects of one coefficient that act for the most part as another one does."""
+    likeness: float = 0.8
+    """Correlation of those two."""
     models: list[tuple[str, ...]] = field(default_factory=list)
 
     def __call__(self, model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
@@ -147,7 +150,9 @@ class FakeFilter:
             rng = np.random.default_rng(sum(map(ord, effect.name)))
             own = rng.normal(size=(blocks, each, len(effect.coefficients)))
             other = self.looks_like.get(effect.name)
-            return own if other is None else 0.8 * columns(find_effect(other)) + 0.6 * own
+            if other is None:
+                return own
+            return self.likeness * columns(find_effect(other)) + math.sqrt(1.0 - self.likeness**2) * own
 
         missing = {name: size for name, size in self.hidden.items() if name not in names}
         measured = noise
@@ -437,6 +442,16 @@ class TestSearch:
         fake = FakeFilter({'gyro_lag': lag, 'scale_cubic': 2.0}, {'gyro_lag': gain, 'scale_cubic': 100.0})
         (added,) = search(default_model(), AT_REST, fake, most=1).additions
         assert added.effect.name == first
+
+    @pytest.mark.parametrize('size', [2.0, -2.0])
+    def test_an_effect_that_would_need_an_impossible_sign_is_not_confused(self, size: float) -> None:
+        """Images that are late look like a gyro that reads ahead of time: none does."""
+        sizes = {'scale_cubic': size}
+        gains = dict.fromkeys(('scale_cubic', 'gyro_lag'), 100.0)
+        fake = FakeFilter(sizes, gains, looks_like={'gyro_lag': 'scale_cubic'}, likeness=0.999)
+        found = search(default_model(), AT_REST, fake, most=1)
+        assert [item.effect.name for item in found.kept] == ['scale_cubic']
+        assert ('gyro_lag' in look_alikes(found)['scale_cubic']) == (size > 0.0)
 
     @pytest.mark.slow
     def test_a_moment_does_not_decide_between_two_that_look_alike(self) -> None:

@@ -214,8 +214,9 @@ def _reason(added: Addition) -> str:
         gain = f'{added.predictive_gain:+.1f}'
         what = 'in closed form' if getattr(added.effect, 'form', '') else 'with the likeliest period'
         return f'{what} the recording is predicted as well (log-likelihood {gain})'
+    better = f'the recording is predicted better (log-likelihood +{size})'
     if added.is_kept:
-        return f'the recording is predicted better (log-likelihood +{size})'
+        return better
     if not added.stands_out:
         return 'beside the other coefficients it is not significantly different from zero'
     if added.is_negligible:
@@ -223,10 +224,9 @@ def _reason(added: Addition) -> str:
     if added.predictive_gain < 0.0:
         return f'the recording is predicted worse (log-likelihood -{size})'
     if added.raises_drift:
-        return f'the recording is predicted better (log-likelihood +{size}), but it drifts more'
+        return f'{better}, but it drifts more'
     if added.spoils_fit:
-        what = f'the recording is predicted better (log-likelihood +{size})'
-        return f'{what}, but the model fits without it and not with it: it is not constant'
+        return f'{better}, but the model fits without it and not with it: it is not constant'
     if added.is_rejected:
         what = f'the recording is not predicted clearly better (log-likelihood +{size})'
         return f'{what}, or it drifts more, or the model does not fit with it either'

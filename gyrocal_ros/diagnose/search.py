@@ -71,7 +71,7 @@ def search(
         model: the present sensor model.
         recording: summary of the recording.
         calibrate: runs the filter.
-        most: number of effects to try, each in a run of its own.
+        most: number of effects to try, each in a run; those that look like the last one found add runs.
         settings: thresholds.
 
     Raises:
@@ -137,7 +137,7 @@ def continued(
     """Add one effect after the other, until nothing more is found or enough were tried.
 
     Coefficients that were inexact at the start leave errors that look like further effects, and spoil the
-    scatter that judges weak ones. So before one is tried that gains little, the filter runs again from there.
+    scatter that judges weak ones. Before one that gains little is tried, the filter runs from the estimates.
 
     Args:
         additions: what was added before.
@@ -378,10 +378,10 @@ def _contested(
 
 
 def _is_as_good(item: Addition, best: Addition) -> bool:
-    """Return True if an addition is possible and predicts nearly as well as the best one, but for chance."""
+    """Return True if an addition is possible and predicts as well as the best one, nearly or by chance."""
     lost = vuong_sigma(predictive_gain(item.after.run, best.after.run))
-    is_close = lost <= item.after.settings.indistinguishable_sigma
-    is_close = is_close or item.predictive_gain > NEARLY * best.predictive_gain
+    is_close = item.predictive_gain > NEARLY * best.predictive_gain
+    is_close = is_close or lost <= item.after.settings.indistinguishable_sigma
     return item.is_kept and not item.is_impossible and is_close
 
 

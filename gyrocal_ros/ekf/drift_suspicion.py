@@ -26,8 +26,8 @@ INTERVALS = 3.0
 JUMP_S = 20.0
 """Time in which a jump shows; what takes longer is a drift."""
 CONFIRMED_RAD = math.pi / 2.0
-"""Turn to either side that confirms a changed scale factor: one that the gyro has to one side only, or at one
-rate, looks like a change at the first turn of another kind."""
+"""Turn to either side that confirms a changed scale factor: that of a gyro that errs to one side only seems
+to change at the first turn to the other."""
 
 
 @quickly_filled

@@ -32,6 +32,7 @@ from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude
+from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import START_NS
 
 STORED_STD = 4e-5
@@ -93,6 +94,17 @@ def test_a_right_stored_calibration_is_kept() -> None:
     start = Start(('scale_factor',), np.array([true - 1.0]), np.array([[STORED_STD**2]]), START_NS)
     run = calibrate(source, Config(), default_model(), start, follows_changes=True)
     assert not run.history.scale_followed.any() and conclude(run).converged
+
+
+@pytest.mark.parametrize('seed', [0, 14])
+def test_images_at_rest_are_no_change_of_the_scale_factor(seed: int) -> None:
+    """The position is kept there, so all images of a rest err alike; each counted as if it erred alone."""
+    errors = replace(find_scenario('rest_and_go').errors, pixel_noise_px=0.3, scale_factor=1.03)
+    robot = {'camera_hz': 15, 'features': 8, 'floor_tilt_deg': 0.4, 'errors': errors}
+    source = recording('rest_and_go', seed, 120.0, **robot)
+    run = calibrate(source, Config(), default_model(), follows_changes=True)
+    assert not run.history.scale_followed.any()
+    assert is_right(conclude(run), 1.03) and conclude(run).converged
 
 
 @pytest.mark.slow

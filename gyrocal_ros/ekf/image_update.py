@@ -27,11 +27,12 @@ from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen, match_ids
 from gyrocal_ros.ekf.moving_features import MovingFeatures
+from gyrocal_ros.ekf.near_features import with_near_features
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
 from gyrocal_ros.ekf.slow_errors import differences, with_slow_errors
 from gyrocal_ros.ekf.stamp_noise import stamp_error, with_stamp_noise
-from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen
+from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen, with_further_errors
 from gyrocal_ros.ekf.update import (
     NO_DIFFERENCES,
     NO_FEATURES,
@@ -111,6 +112,10 @@ def update_from_image(
         focal_px = model.view.camera.fx_px
         state = with_slow_errors(state, matches.rows, matches.moved_px, model.slow_variance_px, focal_px)
     innovation = _innovation(state, model, matches)
+    if model.form.is_robust:
+        nearer = with_near_features(state, innovation, model.config.features)
+        if nearer is not state:
+            state, innovation = nearer, _innovation(nearer, model, matches)
     found = _consensus(innovation, model)
     judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
     learns = model.form.is_robust and model.config.camera.estimate_pixel_noise
@@ -121,7 +126,7 @@ def update_from_image(
     all_good = np.count_nonzero(good) == len(good)
     used = found.innovation if all_good else found.innovation[good.nonzero()[0]]
     if found.slip_std is not None:
-        state = with_looser_pose(state, found.slip_std)
+        state = with_further_errors(state, np.arange(POSE.stop), found.slip_std)
     state, told = _updated(state, model, used, moved, may_tell_wheels=found.slip_std is None)
     kept, dropped_ids = state, told.dropped_ids
     if not found.rejects_image:
@@ -185,7 +190,7 @@ def _updated(
         return state, told
     whitening, ids = used.find_whitening(), state.landmarks.ids[used.rows]
     weights = by_feature = by_position = None
-    if model.scored:
+    if model.scored and not model.stays:
         weights = model.candidates.shown(moves=model.moves, turns=model.turns)
         scored = used.sensitivity[:, :, : model.scored] * weights[: model.scored]
         by_feature = feature_scores(ids, used.residual, whitening, scored)
@@ -210,8 +215,8 @@ def _updated(
 def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State, UpdateStats]:
     """Return the state after the update by the features used."""
     after, stats = update(state, used)
-    if model.stays:
-        after = with_kept(state, after, not_told_at_rest(state, model))
+    if model.stays:  # what is kept errs alike in all images of a rest, and would count as often
+        after, stats = with_kept(state, after, not_told_at_rest(state, model)), stats.of_first(0)
     else:
         after = with_considered(state, after, combinations_not_told(state, model))
     after = with_moved_anchors(state, after)
@@ -243,13 +248,6 @@ def position_score(by_pose: Array, residual: Array, whitening: Array, yaw: int) 
     by_position, by_yaw = whitened_by_pose[:, :2], whitened_by_pose[:, yaw]
     by_position = by_position - np.outer(by_yaw, by_yaw @ by_position / (by_yaw @ by_yaw))
     return by_position.T @ whitened, by_position.T @ by_position
-
-
-def with_looser_pose(state: State, std: Array) -> State:
-    """Return a state whose pose has further errors of standard deviations (6,)."""
-    covariance = state.covariance.copy()
-    covariance[POSE, POSE] += np.diag(np.square(std))
-    return changed(state, covariance=covariance)
 
 
 def _innovation(state: State, model: ImageModel, matches: _Matches) -> Innovation:

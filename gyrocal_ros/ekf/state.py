@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 
 import numpy as np
 
-from gyrocal_ros.data import Array, IntArray, quickly_filled
+from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import Anchors, no_anchors
 
@@ -166,3 +166,10 @@ def no_landmarks() -> Landmarks:
     empty = np.empty(0, np.int64)
     nowhere = np.empty((0, 2))
     return Landmarks(empty, no_anchors(0), empty, empty, empty, nowhere, nowhere, unknown_noise(0))
+
+
+def with_further_errors(state: State, places: IntArray, std: Array | float) -> State:
+    """Return the state with further errors, of standard deviations (p,) or one for all, at places (p,)."""
+    covariance = state.covariance.copy()
+    covariance[places, places] += np.square(std)
+    return changed(state, covariance=covariance)

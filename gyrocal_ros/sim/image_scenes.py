@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 from gyrocal_ros.data import CameraIntrinsics
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.sim.image_conditions import ImageConditions
-from gyrocal_ros.sim.scenarios import CAMERA, Scenario
+from gyrocal_ros.sim.scenarios import CAMERA, TABLES, Scenario
+from gyrocal_ros.sim.scene import Furniture
 
 PINHOLE = replace(CAMERA, distortion=(0.0,) * 5)
 BARREL = replace(CAMERA, distortion=(-0.28, 0.07, 0.001, -0.001, 0.0))
@@ -37,6 +38,7 @@ class ImageScene:
     camera: CameraIntrinsics = CAMERA
     camera_hz: int = 15
     conditions: ImageConditions = GOOD_LIGHT
+    furniture: tuple[Furniture, ...] = ()
 
     def applied_to(self, scenario: Scenario) -> Scenario:
         """Return the scenario with the camera and the ceiling of this scene."""
@@ -46,6 +48,7 @@ class ImageScene:
             camera_hz=self.camera_hz,
             ceiling=self.ceiling,
             image_conditions=self.conditions,
+            furniture=(*scenario.furniture, *self.furniture),
         )
 
 
@@ -81,6 +84,7 @@ SCENES: dict[str, ImageScene] = {
             'the light is off for ten seconds; JPEG of quality 40',
             conditions=replace(GOOD_LIGHT, darkness_s=10.0, jpeg_quality=40),
         ),
+        ImageScene('tables', 'tables that the robot drives below', furniture=TABLES),
         ImageScene('fisheye', 'a fisheye lens', camera=FISHEYE),
         ImageScene('wide', 'a wide lens with a rational distortion', camera=RATIONAL),
         ImageScene(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array, CameraIntrinsics
-from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Grid, Layer
+from gyrocal_ros.sim.canvas import LEVELS_PER_GREY, OPAQUE, Canvas, Grid, Layer, cut_out
 from gyrocal_ros.sim.ceilings import Ceiling, find_ceiling
 from gyrocal_ros.sim.image_conditions import ExposureControl, ImageConditions, flicker, room_light
 from gyrocal_ros.sim.image_sensor import ImageSensor
@@ -27,7 +27,7 @@ CameraPoses = Callable[[Array], tuple[Array, Array]]
 
 
 class ImageSequence:
-    """Images of a camera below a ceiling, with motion blur, varying brightness and dark furniture.
+    """Images of a camera below a ceiling, with motion blur, varying brightness and furniture.
 
     Args:
         camera: true intrinsics.
@@ -54,7 +54,8 @@ class ImageSequence:
             grid = replace(grid, blur_texels=0.0)
         fixed = drawn(find_ceiling(ceiling), seed, grid)
         moving = moving_layers(conditions, stream(seed, 'moving'), CEILING_HEIGHT_M, grid)
-        undersides = [_underside(item) for item in furniture]
+        rng = stream(seed, 'undersides')
+        undersides = [_marked(rng, item, grid) if item.marks else _underside(item) for item in furniture]
         layers = sorted([*fixed, *moving, *undersides], key=lambda layer: -layer.height_m)
         sensor = ImageSensor(camera, conditions, seed)
         self._renderer = CeilingRenderer(camera, layers, sensor, optical_blur_px=conditions.optical_blur_px)
@@ -113,6 +114,22 @@ def brightness(time_s: Array, rng: np.random.Generator) -> Array:
     phases = rng.uniform(0.0, 2.0 * np.pi, 3)
     waves = np.sin(2.0 * np.pi * np.divide.outer(time_s, periods_s) + phases)
     return np.exp(np.einsum('nk,k->n', waves, np.array([0.10, 0.08, 0.04])))
+
+
+def _marked(rng: np.random.Generator, furniture: Furniture, grid: Grid) -> Layer:
+    """Draw an underside with boards, screws and stickers."""
+    grid = grid.scaled(furniture.height_m / CEILING_HEIGHT_M)
+    low, high = np.transpose([furniture.x_m, furniture.y_m])
+    size = high - low + 48.0 * grid.texel_m
+    marks, outline = (Canvas(float(size[0]), float(size[1]), grid, brightness=0.0) for _ in range(2))
+    outline.rectangle(0.5 * size, high - low, 0.0, 1.0)
+    marks.texels += np.float32(60.0)
+    marks.add_plaster(rng, grain=2.0, waves=12, wave_grey=1.5)
+    for y in np.arange(0.0, size[1], 0.12):
+        marks.rectangle((0.0, y), (2.0 * float(size[0]), 0.003), 0.0, -20.0)
+    for centre in rng.uniform(0.0, size, (furniture.marks, 2)):
+        marks.disc(centre, rng.uniform(0.003, 0.012), rng.choice([-35.0, 35.0]))
+    return cut_out(furniture.height_m, 0.5 * (low + high), marks, outline)
 
 
 def _underside(furniture: Furniture) -> Layer:

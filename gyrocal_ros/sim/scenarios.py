@@ -72,6 +72,7 @@ class Scenario:
     mount_yaw_deg: float = -90.0
 
 
+TABLES = (Furniture((-1.2, 0.0), (-1.6, -0.4), 0.50, 40), Furniture((0.6, 1.9), (-1.9, -0.9), 0.75, 40))
 _LANES_STYLE = DrivingStyle(turn_rates_deg_s=(75.0, 75.0), area_m=(2.8, 4.0))
 
 SCENARIOS: dict[str, Scenario] = {
@@ -109,6 +110,11 @@ SCENARIOS: dict[str, Scenario] = {
                 Furniture((0.6, 1.8), (-1.6, -0.9), 0.70),
                 Furniture((0.4, 2.0), (0.8, 1.6), 0.45),
             ),
+        ),
+        Scenario(
+            'tables',
+            'cleaning below two tables whose undersides the camera sees',
+            furniture=TABLES,
         ),
         Scenario(
             'blind_spins',

@@ -19,6 +19,8 @@ class Furniture:
     y_m: tuple[float, float]
     height_m: float = 0.45
     """Height of the underside above the floor."""
+    marks: int = 0
+    """Number of corners on the underside, as of screws and joints; without any it is plain and dark."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,7 +46,7 @@ def draw_scene(
         rng: the random stream of the scene.
         room_m: length and width, around the origin.
         camera_height_m: height of the camera above the floor.
-        furniture: furniture that occludes the ceiling.
+        furniture: furniture that occludes the ceiling, and shows corners of its own.
         corners: number of corners on the ceiling, 2.0 to 2.7 m above the camera.
         lamps: number of corners 1.2 to 2.0 m above the camera.
     """
@@ -54,7 +56,15 @@ def draw_scene(
     height = np.where(
         rng.permutation(count) < lamps, rng.uniform(1.2, 2.0, count), rng.uniform(2.0, 2.7, count)
     )
-    return Scene(np.column_stack([level, camera_height_m + height]), furniture)
+    above = np.column_stack([level, camera_height_m + height])
+    return Scene(np.concatenate([above, *(_undersides(rng, board) for board in furniture)]), furniture)
+
+
+def _undersides(rng: np.random.Generator, board: Furniture) -> Array:
+    """Draw the corners (n, 3) on the underside of a piece of furniture."""
+    (x0, x1), (y0, y1) = board.x_m, board.y_m
+    level = rng.uniform((x0, y0), (x1, y1), (board.marks, 2))
+    return np.column_stack([level, np.full(board.marks, board.height_m)])
 
 
 def occluded(furniture: tuple[Furniture, ...], camera_w: Array, points_w: Array) -> np.ndarray:

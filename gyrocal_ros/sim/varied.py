@@ -13,6 +13,7 @@ import numpy as np
 
 from gyrocal_ros.sim.manoeuvres import DrivingStyle
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
+from gyrocal_ros.sim.scene import Furniture
 from gyrocal_ros.sim.sensors import SensorErrors, stream
 
 PLANS = ('cleaning', 'lanes', 'rest_and_go', 'spins')
@@ -54,11 +55,23 @@ def varied_scenario(seed: int) -> Scenario:
         errors=_with_tilt_errors(_errors(rng), seed),
         room_m=(float(area_m[0]) + 2.0, float(area_m[1]) + 2.0),
         corners=int(rng.integers(40, 160)),
+        furniture=_tables(area_m, stream(seed, 'tables')),
         floor_tilt_deg=_log_uniform(rng, 0.05, 0.4),
         bumps=int(rng.integers(0, 10)),
         mount_xyz_m=(float(rng.uniform(-0.12, 0.12)), float(rng.uniform(-0.05, 0.05)), 0.1),
         mount_yaw_deg=float(rng.uniform(-180.0, 180.0)),
     )
+
+
+def _tables(area_m: tuple[float, ...], rng: np.random.Generator) -> tuple[Furniture, ...]:
+    """Draw the tables that the robot drives below: in two of three rooms none, else one or two."""
+    tables = []
+    for _ in range(rng.choice([0, 0, 0, 0, 1, 2])):
+        x, y = rng.uniform(-0.5, 0.5, 2) * area_m
+        half_x, half_y = rng.uniform(0.3, 0.8, 2)
+        ends = (x - half_x, x + half_x), (y - half_y, y + half_y)
+        tables.append(Furniture(*ends, float(rng.uniform(0.3, 0.8)), int(rng.integers(20, 60))))
+    return tuple(tables)
 
 
 def _errors(rng: np.random.Generator) -> SensorErrors:

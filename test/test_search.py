@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection
 from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ from synthetic import (
 )
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import Addition, addition
+from gyrocal_ros.diagnose.additions import CLEAR_SIGMA, NONE, Addition, addition
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import examine, with_effect
@@ -196,10 +196,43 @@ class TestSearch:
         """However much better it predicts; where no drift can be measured, it cannot rise."""
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, rise))
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: expected)
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -2.0)
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
         (added,) = found.additions
         assert added.is_kept == is_kept and added.raises_drift != is_kept
         assert found.last is (added.after if is_kept else found.first)
+
+    @pytest.mark.parametrize(('rose_sigma', 'gained', 'is_kept'), [(0.8, 400.0, True), (1.2, 400.0, False)])
+    def test_a_rise_by_chance_does_not_count_against_a_clear_gain(
+        self, rose_sigma: float, gained: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Of two effects, each may make up for the other in the few spans of a recording."""
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (0.7, 2.3))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.1)
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -rose_sigma)
+        found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': gained}))
+        assert found.additions[0].gain_sigma > CLEAR_SIGMA
+        assert found.additions[0].is_kept == is_kept
+
+    def test_readings_that_tell_nothing_are_no_excuse_for_drift(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A limit at the fastest turn would explain any error of fast turns, for these count no more."""
+        before, after = (
+            SimpleNamespace(run=SimpleNamespace(by_noise_deg=deg), settings=DEFAULT_SETTINGS)
+            for deg in (0.3, 5.0)
+        )
+        module = 'gyrocal_ros.diagnose.additions'
+        monkeypatch.setattr(f'{module}.drift_of_both_deg', lambda *runs: (0.5, 3.4))
+        monkeypatch.setattr(f'{module}.drift_by_noise_deg', lambda run, drift: run.by_noise_deg)
+        monkeypatch.setattr(f'{module}.better_sigma', lambda *drifts: math.nan)
+        for name in ('drift_of_both', 'blind_drift', 'held_out_from_s'):
+            nothing: Any = (0.0, 0.0) if name == 'drift_of_both' else 0.0
+            monkeypatch.setattr(f'{module}.{name}', lambda *run, nothing=nothing, **options: nothing)
+        for name, raises in (('rate_saturation', True), ('gyro_noise', False)):
+            runs = cast(Any, before), cast(Any, after)
+            added = Addition(find_effect(name), *runs, 9.0, 9.0, 0.0, np.zeros(1), NONE)
+            assert added.raises_drift == raises
 
     @pytest.mark.parametrize(('known_from', 'is_kept'), [(0.2, False), (0.9, True)])
     def test_drift_before_an_effect_is_known_does_not_count(
@@ -213,6 +246,7 @@ class TestSearch:
 
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', drifts)
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.5)
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -2.0)
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, known_from_s=known_s)
         (added,) = search(default_model(), AT_REST, fake).additions
         assert added.known_from_s == pytest.approx(known_s, abs=1.0) and added.is_kept == is_kept
@@ -260,6 +294,20 @@ class TestSearch:
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
         (added,) = search(default_model(), AT_REST, fake, settings=strict).additions
         assert added.stands_out and added.is_kept == is_kept and added.is_negligible != is_kept
+
+    @pytest.mark.parametrize(('left_deg', 'is_kept'), [(0.05, True), (0.3, False)])
+    def test_what_takes_the_drift_away_is_no_trace(
+        self, left_deg: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """A bias by vibration is as large as the floor is rough, however small its coefficient is."""
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (0.6, left_deg))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.1)
+        (usual,) = find_effect('gyro_lag').coefficients
+        assert usual.typical is not None
+        strict = replace(DEFAULT_SETTINGS, min_usual_part=1.1 * 2.0 / usual.typical.low)
+        fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
+        (added,) = search(default_model(), AT_REST, fake, settings=strict).additions
+        assert added.is_below(strict.min_usual_part) and added.is_kept == is_kept
 
     @pytest.mark.parametrize('is_there', [False, True])
     def test_beside_a_trace_only_what_it_does_not_explain_counts(self, is_there: bool) -> None:

@@ -100,6 +100,12 @@ class TestCoarseStep:
         step = math.radians(0.1)
         assert self.step_deg_s(step * np.round(self.turning(0.1) / step)) is None
 
+    def test_a_dead_band_of_fine_readings(self) -> None:
+        """Its zeros repeat, but what it lets through has noise of many steps."""
+        step, rate = math.radians(5e-4), self.turning(0.03)
+        read = step * np.round(np.where(np.abs(rate) < math.radians(0.4), 0.0, rate) / step)
+        assert self.step_deg_s(read) is None
+
     def test_readings_without_a_step(self) -> None:
         smooth = self.turning(0.01)
         assert self.step_deg_s(smooth) is None

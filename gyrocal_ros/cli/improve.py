@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> None:
                 searched = name_unknown(without_harm(searched, recorded, calibrate), recorded, calibrate)
         else:
             searched = try_effect(model, recorded, calibrate, effect)
-        improved = improvement(searched)
+        improved = improvement(searched, has_learned=effect is None and args.learn)
         if folder is not None:
             # Only a page needs the plotting library.
             from gyrocal_ros.report.improvement import improvement_sections

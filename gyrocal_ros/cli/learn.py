@@ -82,7 +82,7 @@ def run(args: argparse.Namespace) -> None:
         else:
             searched = find_missing(model, recorded, calibrate)
         learned = learn(searched, recorded, calibrate, only)
-        improved, laws = improvement(learned.searched), learned.laws
+        improved, laws = improvement(learned.searched, has_learned=True), learned.laws
         if folder is not None:
             # Only a page needs the plotting library.
             from gyrocal_ros.report.improvement import improvement_sections

@@ -9,15 +9,26 @@ from functools import cached_property
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.drift import blind_drift, drift_of_both_deg, held_out_from_s
+from gyrocal_ros.diagnose.drift import (
+    better_sigma,
+    blind_drift,
+    drift_of_both,
+    drift_of_both_deg,
+    held_out_from_s,
+)
 from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg, model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.effects.traits import has_impossible_sign
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.model.sensor import Effect
+from gyrocal_ros.model.sensor import Effect, LimitEffect
+from gyrocal_ros.statistics import vuong_sigma
 
 NONE: IntArray = np.empty(0, np.int64)
+CLEAR_SIGMA, CHANCE_SIGMA = 4.0, 1.0
+"""Significance from which a predictive gain is clear, and below which a rise of the drift is chance."""
+DRIFT_LEFT = 1.0 / 3.0
+"""Part of a drift that an effect leaves at most that takes it away."""
 KNOWN_PART = 0.5
 """Standard deviation of an effect, as a part of its size, from which the filter has learned what it is."""
 
@@ -59,6 +70,13 @@ class Addition:
         )
 
     @property
+    def gain_sigma(self) -> float:
+        """Significance of the predictive gain."""
+        return (
+            math.inf if self.before is None else vuong_sigma(predictive_gain(self.before.run, self.after.run))
+        )
+
+    @property
     def stands_out(self) -> bool:
         """True if any of its strengths is clear of zero once all others are estimated beside it."""
         return self.distance_from_zero(self.after) > self.after.settings.nonzero_sigma
@@ -78,11 +96,25 @@ class Addition:
         gets_worse = self.is_rejected or self.raises_drift or self.spoils_fit
         return predicts and counts and not gets_worse
 
-    @property
+    @cached_property
     def is_negligible(self) -> bool:
-        """True if all of its strengths are far smaller than in real sensors: the trace of something else."""
+        """True if all of its strengths are far smaller than in real sensors: the trace of something else.
+
+        What takes most of the drift away is none: a bias by vibration is as large as the floor is rough.
+        """
         settings, is_of_camera = self.after.settings, self.effect.acts_on == 'camera'
-        return self.is_below(settings.min_usual_part_camera if is_of_camera else settings.min_usual_part)
+        part = settings.min_usual_part_camera if is_of_camera else settings.min_usual_part
+        return self.is_below(part) and not self.takes_drift_away
+
+    @property
+    def takes_drift_away(self) -> bool:
+        """True if little is left of a held-out drift that noise does not explain."""
+        if self.before is None:
+            return False
+        run, most = self.after.run, self.after.settings.max_drift_rise
+        before_deg, after_deg = drift_of_both_deg(self.before.run, run)
+        by_noise_deg = drift_by_noise_deg(run, blind_drift(run, from_s=held_out_from_s(run)))
+        return before_deg > max(most * by_noise_deg, after_deg / DRIFT_LEFT)
 
     @property
     def spoils_fit(self) -> bool:
@@ -118,14 +150,21 @@ class Addition:
         Only spans count that begin when the effect is known: a coefficient that nothing has shown yet makes
         any heading drift. Drift that the model expects does not count against it: with a noise the filter
         follows the bias faster, and in a short recording a span begins while the scale factor is a guess.
+        That readings beyond a limit tell nothing is no excuse: with what they tell, the robot drifted less.
+        A rise by chance does not count against a clear gain: with two effects, what is missing of one may
+        make up for the other in the few spans of a recording.
         """
         if self.before is None:
             return False
         run, from_s = self.after.run, self.known_from_s
         before_deg, after_deg = drift_of_both_deg(self.before.run, run, from_s)
         drift = blind_drift(run, from_s=max(held_out_from_s(run), from_s))
-        least_deg = max(before_deg, drift_by_noise_deg(run, drift))
-        return after_deg > self.after.settings.max_drift_rise * least_deg
+        expecting = self.before.run if isinstance(self.effect, LimitEffect) else run
+        least_deg = max(before_deg, drift_by_noise_deg(expecting, drift))
+        if not after_deg > self.after.settings.max_drift_rise * least_deg:
+            return False
+        is_chance = better_sigma(*drift_of_both(self.before.run, run, from_s)) > -CHANCE_SIGMA
+        return not (is_chance and self.gain_sigma > CLEAR_SIGMA)
 
     @property
     def known_from_s(self) -> float:

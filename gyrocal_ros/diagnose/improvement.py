@@ -58,6 +58,8 @@ class Improvement:
     """Reference of the drift: `ground truth`, or `slam` by the final model."""
     harmful: tuple[str, ...] = ()
     """Noises that the gyro has, and that are left out because the robot drifts more with them."""
+    has_learned: bool = False
+    """True if laws were tried that no effect of the library has."""
 
     @property
     def kept(self) -> tuple[Revision, ...]:
@@ -80,8 +82,8 @@ class Improvement:
         return self.kept[-1]
 
 
-def improvement(searched: Search) -> Improvement:
-    """List the revisions of a finished search."""
+def improvement(searched: Search, *, has_learned: bool = False) -> Improvement:
+    """List the revisions of a finished search, after which laws may have been learned."""
     reference = reference_heading(searched.last.run)
     revisions: list[Revision] = []
     if not searched.additions or searched.additions[0].before is not None:
@@ -96,7 +98,7 @@ def improvement(searched: Search) -> Improvement:
             is_rewritten = item.is_kept and not is_kept and item.effect.name in written
             revisions.append(revision(item, label, reference, is_kept, is_rewritten))
     harmful = tuple(item.effect.name for item in searched.removals if item.is_harmful)
-    return Improvement(tuple(revisions), reference[1], harmful)
+    return Improvement(tuple(revisions), reference[1], harmful, has_learned)
 
 
 def revision_label(number: int, name: str) -> str:
@@ -156,7 +158,7 @@ def revision(
     why = f'{fate}: {_reason(added)}'
     if added.before is not None:
         before = _drifts(added.before, reference)[0]
-        gain_sigma = vuong_sigma(predictive_gain(added.before.run, added.after.run))
+        gain_sigma = added.gain_sigma
         drift_sigma = better_sigma(before, held_out)
         why = f'{why}; {_drift_in_words(before, held_out)}'
     return Revision(

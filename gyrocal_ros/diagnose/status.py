@@ -43,6 +43,11 @@ REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 ADD_NOISE = 'Add it with `gyrocal add` where right standard deviations count more than drift without images.'
 LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the library explains.'
+OWN = (
+    'No law of one recorded signal explains it either: record more signals, or write what the sensor does '
+    'as an effect of your own (docs/your_own_effect.md).'
+)
+TEST = 'Test the model on another recording.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
 
 
@@ -242,22 +247,23 @@ def improvement_status(improved: Improvement) -> Status:
         return Status('yellow', f'{added}: {noise}.', ADD_NOISE)
     final = improved.final.examined
     if model_fit(final.run).fits is False or final.unexplained_structure is not None:
-        return Status('red', f'{added}, and the model still does not fit.', LEARN)
+        next_step = OWN if improved.has_learned else LEARN
+        return Status('red', f'{added}, and the model still does not fit.', next_step)
     if not names:
         return Status('green', f'{added}: no effect improves the prediction of the recording.')
     first, last = improved.kept[0].held_out, improved.final.held_out
-    change = f'from {first.rms_deg:.2f} to {last.rms_deg:.2f} deg'
     if len(improved.kept) == 1 or not math.isfinite(first.rms_deg) or not math.isfinite(last.rms_deg):
         return Status('green', f'{added}.')
+    better = f'{added}: the recording is predicted better'
+    before, after = f'{first.rms_deg:.2f}', f'{last.rms_deg:.2f}'
+    if before == after:
+        return Status('yellow', f'{better}; the held-out drift stayed at {after} deg.', TEST)
+    change, sure = f'from {before} to {after} deg', f'({abs(improved.fell_sigma):.1f} sigma)'
+    if improved.fell_sigma <= 0.0:
+        return Status('yellow', f'{better}, but the held-out drift rose {change} {sure}.', TEST)
     if improved.fell_sigma > CHANCE_SIGMA:
         return Status('green', f'{added}: the held-out drift went {change}.')
-    sure = f' ({improved.fell_sigma:.1f} sigma)' if improved.fell_sigma > 0.0 else ''
-    drift = f'that the held-out drift went {change} may be chance{sure}'
-    return Status(
-        'yellow',
-        f'{added}: the recording is predicted better; {drift}.',
-        'Test the model on another recording.',
-    )
+    return Status('yellow', f'{better}; that the held-out drift went {change} may be chance {sure}.', TEST)
 
 
 def comparison_status(comparison: Comparison) -> Status:

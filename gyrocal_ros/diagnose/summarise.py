@@ -42,8 +42,9 @@ ROUNDING = 1e-6
 """Distances of readings below this part of the largest one are rounding errors of arithmetic."""
 UNEVEN, EVEN_PART = 0.02, 0.99
 """Largest distance of a gap from a whole number of steps, and the part of the gaps that must keep it."""
-REPEATED = 0.5
-"""Part of slow readings that repeat the one before where the noise is below a third of a step."""
+REPEATED, MOST_STEPS = 0.5, 1.5
+"""Part of slow readings that repeat the one before where the noise is below a third of a step, and bound of
+the median change of the others, in steps."""
 
 TURNING_RAD_S = math.radians(20.0)
 """Rate from which a robot turns."""
@@ -70,8 +71,10 @@ def coarse_step(readings: GyroReadings) -> float | None:
         return None
     step = float(gaps.min())
     is_even = np.abs(gaps / step - np.round(gaps / step)) < UNEVEN
-    repeats = float(np.mean(steps < 0.5 * step))
-    return step if is_even.mean() > EVEN_PART and repeats > REPEATED else None
+    repeats = steps < 0.5 * step
+    # A dead band repeats its zeros as well, but what it lets through has noise of many steps.
+    is_wide = repeats.all() or float(np.median(steps[~repeats])) < MOST_STEPS * step
+    return step if is_even.mean() > EVEN_PART and repeats.mean() > REPEATED and is_wide else None
 
 
 def white_noise(readings: GyroReadings) -> float:

@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from recordings import recording
 from synthetic import drive
 
+from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
+from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf import slam
 from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.image_update import update_from_image
 from gyrocal_ros.ekf.map_watch import (
     LOST_IMAGES,
     MAP_DROPPED,
@@ -20,7 +26,9 @@ from gyrocal_ros.ekf.map_watch import (
 )
 from gyrocal_ros.ekf.run import RunEvent
 from gyrocal_ros.ekf.update import MeasurementUpdate
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import FilterDivergedError, IndefiniteCovarianceError
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
 
 GOOD = MeasurementUpdate(used=15)
 BAD = MeasurementUpdate(used=1, rejected=14)
@@ -99,3 +107,27 @@ def test_a_map_that_is_lost_often_contradicts_the_model(lost_s: list[int], contr
     for time_s in lost_s:
         watched.add(time_s)
     assert watched.are_many is contradicts
+
+
+@pytest.mark.parametrize('form', ['inverse_depth', 'pixel'])
+def test_a_map_that_was_bent_beyond_repair_is_dropped(form: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """As by a robot in somebody's hands; only the filters of the paper diverge, as they did there."""
+    source, images = recording('cleaning', 1, 60.0), 0
+
+    def bent_once(*arguments: Any) -> Any:
+        nonlocal images
+        images += 1
+        if images == 200:
+            raise IndefiniteCovarianceError
+        return update_from_image(*arguments)
+
+    monkeypatch.setattr(slam, 'update_from_image', bent_once)
+    config = replace(Config(), features=replace(Config().features, parametrisation=form))
+    if form == 'pixel':
+        with pytest.raises(FilterDivergedError):
+            calibrate(source, config, default_model())
+        return
+    run = calibrate(source, config, default_model())
+    found, true = conclude(run), source.truth.scale_factor
+    assert [event.text for event in run.events] == [MAP_DROPPED]
+    assert found.converged and abs(found.scale_factor - true) < 3.0 * found.scale_factor_std

@@ -13,6 +13,8 @@ from gyrocal_ros.errors import FilterDivergedError
 
 MAP_DROPPED = 'the images contradicted the map; a new map was started'
 """Event of a run."""
+CONTRADICTED = MeasurementUpdate(rejected=3)
+"""An image that contradicts the map, of which nothing is used."""
 LOST_IMAGES = 15
 """Number of consecutive images that contradict the map before it is dropped."""
 REMEMBERED_IMAGES = 300

@@ -36,7 +36,7 @@ from gyrocal_ros.ekf.image_update import add_landmarks, search_regions, unmapped
 from gyrocal_ros.ekf.known_depth import TellingWay
 from gyrocal_ros.ekf.landmarks import forget, forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
-from gyrocal_ros.ekf.map_watch import MAP_DROPPED, MapWatch, SlipWatch
+from gyrocal_ros.ekf.map_watch import CONTRADICTED, MAP_DROPPED, MapWatch, SlipWatch
 from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.predict import FilterModel, Transition, predict, predict_sensitivity, with_pose
 from gyrocal_ros.ekf.rest import RestDetector, RestNoise
@@ -50,7 +50,7 @@ from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
 from gyrocal_ros.ekf.way_agreement import WayAgreement
 from gyrocal_ros.ekf.wheel_noise import WheelNoise
-from gyrocal_ros.errors import ConfigError
+from gyrocal_ros.errors import ConfigError, IndefiniteCovarianceError
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import PosedCamera, posed_camera
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -68,8 +68,7 @@ class EkfSlam:
         config: settings.
         rig: camera and its mounting, as assumed.
         start: result of an earlier run.
-        candidates: effects that the model lacks; the sensitivity of all innovations to them is computed, and
-            the estimate does not depend on them.
+        candidates: effects that the model lacks; the sensitivities to them are computed, for the tests.
         follows_changes: True to let a changed scale factor go as soon as the measurements show the change,
             False to keep one scale factor for the whole recording and only record the change.
     """
@@ -257,9 +256,15 @@ class EkfSlam:
             return MeasurementUpdate(), self._frozen.event()
         assert self.rig.camera is not None
         turned = self._way.event(seen, self.rig.camera, self.rig.camera_mount)
-        update = self._update_from_image(seen, is_at_rest=is_at_rest)
+        is_bent = False
+        try:
+            update = self._update_from_image(seen, is_at_rest=is_at_rest)
+        except IndefiniteCovarianceError:
+            if not self.parametrisation.is_robust:
+                raise
+            update, is_bent = CONTRADICTED, True  # images of something else have bent the map
         event = self._slip_watch.event(update, self.state.t_ns)
-        if self._map_watch.is_lost(update, self.track_noise.pixel):
+        if self._map_watch.is_lost(update, self.track_noise.pixel) or is_bent:
             self.state, event, self._telling_way = forget_all(self.state), MAP_DROPPED, TellingWay()
         return update, '; '.join(filter(None, (turned, event)))
 

@@ -404,6 +404,13 @@ class TestStatus:
         status = calibration_status(calibration, run, ModelFit((), False))
         assert status.level == 'yellow' and 'too short' in status.sentence
 
+    def test_green_needs_a_heading_that_lasts_a_minute(self, run: Run, calibration: Calibration) -> None:
+        """A model with much noise fits a drift of any size."""
+        for drift_deg, level in ((0.9, 'green'), (1.1, 'yellow')):
+            status = calibration_status(calibration, run, ModelFit((), True, 1.0, drift_deg))
+            assert status.level == level
+        assert '1.1 deg in 60 s without the camera' in status.sentence
+
     def test_more_turns_are_no_remedy_for_a_wrong_camera(self, run: Run, calibration: Calibration) -> None:
         unknown = replace(calibration, converged=False, convergence_time_s=None)
         few = replace(run.history, turn_rad=0.1 * run.history.turn_rad)

@@ -37,6 +37,8 @@ class ModelFit:
     """True if the recording is long enough to tell."""
     drift_ratio: float = math.nan
     """Held-out blind drift relative to what noise explains; NaN where there is no span, or no noise."""
+    drift_deg: float = math.nan
+    """Held-out blind drift, rms."""
     mounting: str = ''
     """Sensor that is mounted or wired wrongly, one of the contradictions; empty without."""
 
@@ -54,7 +56,8 @@ def model_fit(run: Run) -> ModelFit:
     is_judged = scatter.is_judged and len(drift.error_rad) > 0
     mounting, others = mounting_fault(run), _misfits(run, scatter, drift.rms_deg, by_noise_deg)
     misfits = tuple(filter(None, (mounting, *others)))
-    return ModelFit(misfits, is_judged, drift.rms_deg / by_noise_deg if by_noise_deg else math.nan, mounting)
+    ratio = drift.rms_deg / by_noise_deg if by_noise_deg else math.nan
+    return ModelFit(misfits, is_judged, ratio, drift.rms_deg, mounting)
 
 
 def excess_nis(run: Run) -> float:

@@ -14,6 +14,7 @@ from typing import Literal, TypeAlias
 from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
+from gyrocal_ros.diagnose.drift import SPAN_S
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
@@ -48,6 +49,12 @@ OWN = (
     'as an effect of your own (docs/your_own_effect.md).'
 )
 TEST = 'Test the model on another recording.'
+LARGE_DRIFT_DEG = 1.0
+"""Blind drift in a minute that is large, though noise or a limit of the gyro explains it."""
+FIND_NOISE = (
+    'Trust the heading only while the camera sees the ceiling; look for what disturbs the gyro, and turn '
+    'more slowly if it has a limit.'
+)
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
 
 
@@ -114,6 +121,9 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         return Status('yellow', f'{sentence}, but {fault}.', remedy)
     if fit.fits is None:
         return Status('yellow', f'{sentence}, but {UNJUDGED}.', RECORD)
+    if fit.drift_deg > LARGE_DRIFT_DEG:
+        drifts = f'the heading drifts by {fit.drift_deg:.1f} deg in {SPAN_S:.0f} s without the camera'
+        return Status('yellow', f'{sentence}, but {drifts}, which its noise and limits explain.', FIND_NOISE)
     return Status('green', f'{sentence}.')
 
 

@@ -182,3 +182,23 @@ def test_where_nothing_is_missing_no_law_is_sought(monkeypatch: pytest.MonkeyPat
     first: Any = SimpleNamespace(model=default_model())
     searched = Search(first, ())
     assert name_unknown(searched, None, None) is searched  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ('name', 'values', 'is_unusual'),
+    [
+        ('bias_warmup', (0.003, 120.0), False),
+        ('bias_warmup', (0.003, 13.0), True),
+        ('scale_temperature', (8e-4,), False),
+        ('scale_temperature', (-3.8e-3,), True),
+        ('gyro_noise', (1.0,), False),
+        ('rate_saturation', (9.0,), False),
+    ],
+)
+def test_an_effect_of_a_size_that_no_gyro_has_is_unusual(
+    name: str, values: tuple[float, ...], is_unusual: bool
+) -> None:
+    """It may stand for a law that the library lacks."""
+    last = SimpleNamespace(estimate_of=lambda _: (np.array(values), np.zeros(len(values))))
+    searched: Any = SimpleNamespace(kept=[SimpleNamespace(effect=find_effect(name))], last=last)
+    assert unknown_law._is_unusual(searched) == is_unusual

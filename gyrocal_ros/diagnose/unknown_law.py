@@ -26,11 +26,14 @@ from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, HEADING, RATE
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.learned.wave import Wave
-from gyrocal_ros.effects.traits import follows_signal, is_noise
+from gyrocal_ros.effects.traits import follows_signal, is_limit, is_noise
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary
+from gyrocal_ros.model.sensor import TypicalRange
 
+UNUSUAL = 3.0
+"""Factor beyond the usual values of a coefficient from which it is unusual."""
 SHOWN = 10
 """Distance of the points of a curve that are shown."""
 PLACE = 'the place in the map'
@@ -56,7 +59,8 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
 
     The headings of a run that lacks a law are bent by it, so what they seem to follow may be anything. The
     full filter weighs every law in one run, and one more run confirms the likeliest. Several wrong effects
-    together may imitate a law: where it predicts as well without them, they are given up.
+    together may imitate a law: where it predicts as well without them, they are given up. So is an effect of
+    a size that no gyro has, where a law alone predicts better.
 
     Args:
         searched: a finished search in the library.
@@ -65,12 +69,14 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
     """
     last = searched.last
     is_missing = is_missing_something(last) and not (mounting_fault(last.run) or _is_explained(searched))
-    if not (is_missing or _may_imitate(searched)):
+    is_unusual = not is_missing and _is_unusual(searched)
+    if not (is_missing or is_unusual or _may_imitate(searched)):
         return searched
     beside = likeliest_law(last, recording, calibrate) if is_missing else None
     alone = likeliest_law(searched.first, recording, calibrate) if last is not searched.first else None
     best = _without_leftover(searched) if beside is None or not beside.is_kept else beside.after.run
-    if alone is not None and alone.is_kept and _gain(best, alone.after.run) > -MIN_GAIN:
+    least = MIN_GAIN if is_unusual else -MIN_GAIN
+    if alone is not None and alone.is_kept and _gain(best, alone.after.run) > least:
         recovered = [item for item in searched.additions if item.before is None]
         return _saying(Search(searched.first, tuple(recovered)), alone)
     # Where the headings show structure, a law that explains but a part of it is nearer to the cause.
@@ -101,6 +107,26 @@ def _is_explained(searched: Search) -> bool:
     last = searched.last
     is_strange = bool(unusual_noises(last.model))
     return len(searched.kept) > 0 and not is_strange and model_fit(last.run).fits is not False
+
+
+def _is_unusual(searched: Search) -> bool:
+    """Return True if an effect that was found has a size, or a time constant, that hardly any sensor has."""
+    return any(
+        _is_unusual_value(usual, value)
+        for item in searched.kept
+        if not (is_noise(item.effect) or is_limit(item.effect))
+        for usual, value in zip(
+            (coefficient.typical for coefficient in item.effect.coefficients),
+            searched.last.estimate_of(item.effect.name)[0].tolist(),
+            strict=True,
+        )
+        if usual is not None
+    )
+
+
+def _is_unusual_value(usual: TypicalRange, value: float) -> bool:
+    is_short = not usual.is_strength and abs(value) < usual.low / UNUSUAL
+    return is_short or abs(value) > UNUSUAL * usual.high
 
 
 def _may_imitate(searched: Search) -> bool:

@@ -67,7 +67,11 @@ class DiagnosisSettings:
         3.0, 'nat', 'predictive log-likelihood that an effect must gain to be kept: odds of 20 to 1', 'none'
     )
     max_drift_rise: float = threshold(
-        1.5, '1', 'largest held-out drift with an effect that is kept, relative to that without', 'none'
+        1.5,
+        '1',
+        'largest held-out drift with an effect that is kept, relative to that without; a rise by chance does '
+        'not count against a clear gain',
+        'none; recordings of another simulator',
     )
     nonzero_sigma: float = threshold(
         3.0, 'sigma', 'distance from zero that a coefficient must keep in the final model', 'pairs of effects'
@@ -76,7 +80,8 @@ class DiagnosisSettings:
         0.1,
         '1',
         'part of the least usual size below which an effect is not named: signals that are recorded late or '
-        'seldom leave such traces. What fades counts with strength times time constant',
+        'seldom leave such traces. What fades counts with strength times time constant; what takes two '
+        'thirds of a drift away is none',
         'pairs of effects',
     )
     min_usual_part_camera: float = threshold(

@@ -20,6 +20,7 @@ from gyrocal_ros.ekf.map_watch import (
     LOST_IMAGES,
     MAP_DROPPED,
     REMEMBERED_IMAGES,
+    SOUND_IMAGES,
     LostMaps,
     MapWatch,
     loses_its_map,
@@ -131,3 +132,10 @@ def test_a_map_that_was_bent_beyond_repair_is_dropped(form: str, monkeypatch: py
     found, true = conclude(run), source.truth.scale_factor
     assert [event.text for event in run.events] == [MAP_DROPPED]
     assert found.converged and abs(found.scale_factor - true) < 3.0 * found.scale_factor_std
+
+
+def test_a_map_that_is_bent_at_once_or_again_shows_readings_at_fault() -> None:
+    watch = MapWatch()
+    assert not watch.may_be_bent()
+    assert [any(map(watch.is_lost, [GOOD] * SOUND_IMAGES, [noise()] * SOUND_IMAGES))] == [False]
+    assert watch.may_be_bent() and not watch.may_be_bent()

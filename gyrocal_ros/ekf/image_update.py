@@ -112,7 +112,7 @@ def update_from_image(
         focal_px = model.view.camera.fx_px
         state = with_slow_errors(state, matches.rows, matches.moved_px, model.slow_variance_px, focal_px)
     innovation = _innovation(state, model, matches)
-    if model.form.is_robust:
+    if model.form.is_robust and model.moves:
         nearer = with_near_features(state, innovation, model.config.features)
         if nearer is not state:
             state, innovation = nearer, _innovation(nearer, model, matches)
@@ -190,7 +190,7 @@ def _updated(
         return state, told
     whitening, ids = used.find_whitening(), state.landmarks.ids[used.rows]
     weights = by_feature = by_position = None
-    if model.scored and not model.stays:
+    if model.scored:
         weights = model.candidates.shown(moves=model.moves, turns=model.turns)
         scored = used.sensitivity[:, :, : model.scored] * weights[: model.scored]
         by_feature = feature_scores(ids, used.residual, whitening, scored)
@@ -215,8 +215,8 @@ def _updated(
 def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State, UpdateStats]:
     """Return the state after the update by the features used."""
     after, stats = update(state, used)
-    if model.stays:  # what is kept errs alike in all images of a rest, and would count as often
-        after, stats = with_kept(state, after, not_told_at_rest(state, model)), stats.of_first(0)
+    if model.stays:
+        after = with_kept(state, after, not_told_at_rest(state, model))
     else:
         after = with_considered(state, after, combinations_not_told(state, model))
     after = with_moved_anchors(state, after)

@@ -17,6 +17,8 @@ CONTRADICTED = MeasurementUpdate(rejected=3)
 """An image that contradicts the map, of which nothing is used."""
 LOST_IMAGES = 15
 """Number of consecutive images that contradict the map before it is dropped."""
+SOUND_IMAGES = 100
+"""Number of images without an error from which a map that is bent beyond repair is dropped."""
 REMEMBERED_IMAGES = 300
 """Images over which the share of those that contradict the map is averaged."""
 SLIPS = (
@@ -123,6 +125,15 @@ class MapWatch:
     def __init__(self) -> None:
         self._contradicted = 0
         self._share = 0.0
+        self._sound_images = 0
+
+    def may_be_bent(self) -> bool:
+        """Return True if images of something else may have bent the map, after many that did not.
+
+        From the start, or again and again, the readings are at fault.
+        """
+        sound_images, self._sound_images = self._sound_images, 0
+        return sound_images >= SOUND_IMAGES
 
     def is_lost(self, update: MeasurementUpdate, pixel_noise: AdaptiveNoise) -> bool:
         """Return True if the map has to be dropped after an image.
@@ -130,6 +141,7 @@ class MapWatch:
         Raises:
             FilterDivergedError: the images contradict the estimate beyond repair.
         """
+        self._sound_images += 1
         if pixel_noise.is_at_limit:
             what = f'the innovations of the images exceed {pixel_noise.std:.0f} px'
             raise FilterDivergedError(what, todo=CHECK_THE_CAMERA)

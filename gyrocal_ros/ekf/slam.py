@@ -170,8 +170,8 @@ class EkfSlam:
         # Measurement update: eqs. (12) to (14), or a heading; new features join the map: eqs. (15) to (22).
         update, event = self._measure(seen, is_at_rest=resting.dof > 0)
 
-        # Tests: the scale factor may have changed, an earlier calibration or the camera may be wrong.
-        stats = resting, update.stats
+        # Tests: scale factor or camera may be wrong. At rest images err alike, for the position is kept.
+        stats = resting, update.stats.of_first(0) if resting.dof else update.stats
         self.state, suspicions = self._watch.test(
             before, predicted, self.state, block.duration_s, stats, self.track_noise
         )
@@ -260,7 +260,7 @@ class EkfSlam:
         try:
             update = self._update_from_image(seen, is_at_rest=is_at_rest)
         except IndefiniteCovarianceError:
-            if not self.parametrisation.is_robust:
+            if not (self.parametrisation.is_robust and self._map_watch.may_be_bent()):
                 raise
             update, is_bent = CONTRADICTED, True  # images of something else have bent the map
         event = self._slip_watch.event(update, self.state.t_ns)

@@ -67,8 +67,8 @@ def _tables(area_m: tuple[float, ...], rng: np.random.Generator) -> tuple[Furnit
     """Draw the tables that the robot drives below: in two of three rooms none, else one or two."""
     tables = []
     for _ in range(rng.choice([0, 0, 0, 0, 1, 2])):
-        x, y = rng.uniform(-0.5, 0.5, 2) * area_m
-        half_x, half_y = rng.uniform(0.3, 0.8, 2)
+        x, y = (rng.uniform(-0.5, 0.5, 2) * area_m).tolist()
+        half_x, half_y = rng.uniform(0.3, 0.8, 2).tolist()
         ends = (x - half_x, x + half_x), (y - half_y, y + half_y)
         tables.append(Furniture(*ends, float(rng.uniform(0.3, 0.8)), int(rng.integers(20, 60))))
     return tuple(tables)

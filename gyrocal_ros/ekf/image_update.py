@@ -112,7 +112,7 @@ def update_from_image(
         focal_px = model.view.camera.fx_px
         state = with_slow_errors(state, matches.rows, matches.moved_px, model.slow_variance_px, focal_px)
     innovation = _innovation(state, model, matches)
-    if model.form.is_robust and model.moves:
+    if model.form.is_robust and not model.stays:
         nearer = with_near_features(state, innovation, model.config.features)
         if nearer is not state:
             state, innovation = nearer, _innovation(nearer, model, matches)

@@ -65,6 +65,20 @@ def test_edges_are_interpolated() -> None:
     np.testing.assert_array_equal(block.distance_m, [0.0, 0.0])
 
 
+def test_the_lead_ends_with_the_turn() -> None:
+    """It is no part of the angle: over the whole turn it makes no difference."""
+    rng, buffer = np.random.default_rng(3), MotionBuffer()
+    imu_s = np.cumsum(rng.integers(2_000_000, 20_000_000, 400)) * 1e-9
+    rates = np.concatenate([np.zeros(50), rng.normal(size=250), np.zeros(100)])
+    for time_s, rate in zip(imu_s, rates, strict=True):
+        buffer.add(imu(time_s, rate))
+    cuts_s = np.sort(np.r_[imu_s[0], rng.uniform(imu_s[0], imu_s[-1], 40), imu_s[-1]])
+    blocks = [buffer.cut(at(start_s), at(end_s)) for start_s, end_s in pairwise(cuts_s)]
+    turned_rad = sum(float(block.rate_rad_s[:, 2] @ block.dt_s) for block in blocks)
+    trapezoids_rad = 0.5 * (rates[1:] + rates[:-1]) @ np.diff(imu_s)
+    assert turned_rad == pytest.approx(trapezoids_rad, abs=1e-9)
+
+
 def test_blocks_partition_the_whole_turn_and_the_whole_distance() -> None:
     """Check trapezoids of the gyro less their lead, and steps of the wheels, for random times and cuts."""
     rng = np.random.default_rng(3)

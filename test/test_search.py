@@ -168,6 +168,11 @@ class FakeFilter:
 AT_REST = replace(recording_of(readings(np.zeros(1000))), rig=replace(RIG, camera=CAMERA))
 
 
+def drifts(before_deg: float, after_deg: float) -> Any:
+    """Return the drift without an effect and with it, as far as it is read."""
+    return SimpleNamespace(rms_deg=before_deg), SimpleNamespace(rms_deg=after_deg)
+
+
 class TestSearch:
     def test_the_missing_effect_is_added_and_nothing_more(self) -> None:
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0})
@@ -194,7 +199,7 @@ class TestSearch:
         self, rise: float, expected: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """However much better it predicts; where no drift can be measured, it cannot rise."""
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (1.0, rise))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both', lambda *runs: drifts(1.0, rise))
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: expected)
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -2.0)
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
@@ -207,7 +212,7 @@ class TestSearch:
         self, rose_sigma: float, gained: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """Of two effects, each may make up for the other in the few spans of a recording."""
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (0.7, 2.3))
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both', lambda *runs: drifts(0.7, 2.3))
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.1)
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -rose_sigma)
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': gained}))
@@ -223,12 +228,9 @@ class TestSearch:
             for deg in (0.3, 5.0)
         )
         module = 'gyrocal_ros.diagnose.additions'
-        monkeypatch.setattr(f'{module}.drift_of_both_deg', lambda *runs: (0.5, 3.4))
+        monkeypatch.setattr(f'{module}.drift_of_both', lambda *runs: drifts(0.5, 3.4))
         monkeypatch.setattr(f'{module}.drift_by_noise_deg', lambda run, drift: run.by_noise_deg)
         monkeypatch.setattr(f'{module}.better_sigma', lambda *drifts: math.nan)
-        for name in ('drift_of_both', 'blind_drift', 'held_out_from_s'):
-            nothing: Any = (0.0, 0.0) if name == 'drift_of_both' else 0.0
-            monkeypatch.setattr(f'{module}.{name}', lambda *run, nothing=nothing, **options: nothing)
         for name, raises in (('rate_saturation', True), ('gyro_noise', False)):
             runs = cast(Any, before), cast(Any, after)
             added = Addition(find_effect(name), *runs, 9.0, 9.0, 0.0, np.zeros(1), NONE)
@@ -241,10 +243,10 @@ class TestSearch:
         """An effect whose signal changes late makes every span drift that begins before."""
         known_s = known_from * DURATION_S
 
-        def drifts(before: Run, after: Run, from_s: float) -> tuple[float, float]:
-            return (math.nan, math.nan) if from_s > 0.5 * DURATION_S else (1.0, 9.0)
+        def measured(before: Run, after: Run, from_s: float) -> Any:
+            return drifts(math.nan, math.nan) if from_s > 0.5 * DURATION_S else drifts(1.0, 9.0)
 
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', drifts)
+        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both', measured)
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.5)
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -2.0)
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, known_from_s=known_s)
@@ -300,7 +302,9 @@ class TestSearch:
         self, left_deg: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """A bias by vibration is as large as the floor is rough, however small its coefficient is."""
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both_deg', lambda *runs: (0.6, left_deg))
+        monkeypatch.setattr(
+            'gyrocal_ros.diagnose.additions.drift_of_both', lambda *runs: drifts(0.6, left_deg)
+        )
         monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.1)
         (usual,) = find_effect('gyro_lag').coefficients
         assert usual.typical is not None

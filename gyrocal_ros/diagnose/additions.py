@@ -9,13 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.drift import (
-    better_sigma,
-    blind_drift,
-    drift_of_both,
-    drift_of_both_deg,
-    held_out_from_s,
-)
+from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both
 from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg, model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
@@ -111,10 +105,9 @@ class Addition:
         """True if little is left of a held-out drift that noise does not explain."""
         if self.before is None:
             return False
-        run, most = self.after.run, self.after.settings.max_drift_rise
-        before_deg, after_deg = drift_of_both_deg(self.before.run, run)
-        by_noise_deg = drift_by_noise_deg(run, blind_drift(run, from_s=held_out_from_s(run)))
-        return before_deg > max(most * by_noise_deg, after_deg / DRIFT_LEFT)
+        earlier, later = drift_of_both(self.before.run, self.after.run)
+        by_noise_deg = self.after.settings.max_drift_rise * drift_by_noise_deg(self.after.run, later)
+        return earlier.rms_deg > max(by_noise_deg, later.rms_deg / DRIFT_LEFT)
 
     @property
     def spoils_fit(self) -> bool:
@@ -156,14 +149,12 @@ class Addition:
         """
         if self.before is None:
             return False
-        run, from_s = self.after.run, self.known_from_s
-        before_deg, after_deg = drift_of_both_deg(self.before.run, run, from_s)
-        drift = blind_drift(run, from_s=max(held_out_from_s(run), from_s))
-        expecting = self.before.run if isinstance(self.effect, LimitEffect) else run
-        least_deg = max(before_deg, drift_by_noise_deg(expecting, drift))
-        if not after_deg > self.after.settings.max_drift_rise * least_deg:
+        earlier, later = drift_of_both(self.before.run, self.after.run, self.known_from_s)
+        expecting = self.before.run if isinstance(self.effect, LimitEffect) else self.after.run
+        least_deg = max(earlier.rms_deg, drift_by_noise_deg(expecting, later))
+        if not later.rms_deg > self.after.settings.max_drift_rise * least_deg:
             return False
-        is_chance = better_sigma(*drift_of_both(self.before.run, run, from_s)) > -CHANCE_SIGMA
+        is_chance = better_sigma(earlier, later) > -CHANCE_SIGMA
         return not (is_chance and self.gain_sigma > CLEAR_SIGMA)
 
     @property

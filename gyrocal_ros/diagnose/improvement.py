@@ -160,7 +160,7 @@ def revision(
         before = _drifts(added.before, reference)[0]
         gain_sigma = added.gain_sigma
         drift_sigma = better_sigma(before, held_out)
-        why = f'{why}; {_drift_in_words(before, held_out)}'
+        why = f'{why}; {change_in_words(before, held_out)}'
     return Revision(
         label=label,
         effect=added.effect,
@@ -181,7 +181,7 @@ def _removing(removal: Removal, number: int, reference: tuple[Heading, str]) -> 
     held_out, fitted = _drifts(removal.after, reference)
     before = _drifts(removal.before, reference)[0]
     why = (
-        f'{name} was removed again: {removal_reason(removal)}; without it {_drift_in_words(before, held_out)}'
+        f'{name} was removed again: {removal_reason(removal)}; without it {change_in_words(before, held_out)}'
     )
     return Revision(
         label=revision_label(number, f'without_{name}'),
@@ -235,7 +235,8 @@ def _reason(added: Addition) -> str:
     return f'the prediction of the recording hardly improves (log-likelihood +{size})'
 
 
-def _drift_in_words(before: BlindDrift, after: BlindDrift) -> str:
+def change_in_words(before: BlindDrift, after: BlindDrift) -> str:
+    """Return by how much the held-out drift fell or rose, as a clause."""
     sigma = better_sigma(before, after)
     if math.isnan(sigma):
         return 'the recording is too short to measure the drift'

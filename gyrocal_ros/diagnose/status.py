@@ -15,7 +15,7 @@ from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.drift import SPAN_S
-from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement
+from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement, change_in_words
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
@@ -264,16 +264,12 @@ def improvement_status(improved: Improvement) -> Status:
     first, last = improved.kept[0].held_out, improved.final.held_out
     if len(improved.kept) == 1 or not math.isfinite(first.rms_deg) or not math.isfinite(last.rms_deg):
         return Status('green', f'{added}.')
-    better = f'{added}: the recording is predicted better'
-    before, after = f'{first.rms_deg:.2f}', f'{last.rms_deg:.2f}'
-    if before == after:
-        return Status('yellow', f'{better}; the held-out drift stayed at {after} deg.', TEST)
-    change, sure = f'from {before} to {after} deg', f'({abs(improved.fell_sigma):.1f} sigma)'
-    if improved.fell_sigma <= 0.0:
-        return Status('yellow', f'{better}, but the held-out drift rose {change} {sure}.', TEST)
     if improved.fell_sigma > CHANCE_SIGMA:
+        change = f'from {first.rms_deg:.2f} to {last.rms_deg:.2f} deg'
         return Status('green', f'{added}: the held-out drift went {change}.')
-    return Status('yellow', f'{better}; that the held-out drift went {change} may be chance {sure}.', TEST)
+    by_chance = ', which may be chance' if improved.fell_sigma > 0.0 else ''
+    change = f'{change_in_words(first, last)}{by_chance}'
+    return Status('yellow', f'{added}: the recording is predicted better; {change}.', TEST)
 
 
 def comparison_status(comparison: Comparison) -> Status:

@@ -26,7 +26,6 @@ from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen, match_ids
-from gyrocal_ros.ekf.moving_features import MovingFeatures
 from gyrocal_ros.ekf.near_features import with_near_features
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
 from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
@@ -277,23 +276,6 @@ def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
         return consensus(innovation, outlier_probability, model.interval_s, model.slip)
     judged = each_alone(innovation)
     return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
-
-
-def unmapped(
-    state: State, observations: FeatureObservations, moving: MovingFeatures, map_size: int
-) -> list[int]:
-    """Return the indices of fixed features that are not in the map and for which there is room.
-
-    No feature of the map that was just seen is evicted: one known for longer is worth more.
-    """
-    known, _ = match_ids(state.landmarks.ids, observations.ids)
-    if len(known) == len(observations.ids):
-        return []
-    is_new = np.ones(len(observations.ids), bool)
-    is_new[known] = False
-    new = np.flatnonzero(is_new & moving.are_fixed(observations.ids)).tolist()
-    just_seen = int(np.count_nonzero(state.landmarks.last_seen_ns == state.t_ns))
-    return new[: max(map_size - just_seen, 0)]
 
 
 def add_landmarks(

@@ -22,6 +22,7 @@ from gyrocal_ros.data import (
     changed,
     seconds,
 )
+from gyrocal_ros.ekf.admission import Admission
 from gyrocal_ros.ekf.calibration_watch import CalibrationWatch
 from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS
 from gyrocal_ros.ekf.camera_watch import CameraWatch
@@ -32,7 +33,7 @@ from gyrocal_ros.ekf.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.gating import MotionGate
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.image_model import ImageModel
-from gyrocal_ros.ekf.image_update import add_landmarks, search_regions, unmapped, update_from_image
+from gyrocal_ros.ekf.image_update import add_landmarks, search_regions, update_from_image
 from gyrocal_ros.ekf.known_depth import TellingWay
 from gyrocal_ros.ekf.landmarks import forget, forget_all
 from gyrocal_ros.ekf.levelling import Levelling, unlevelled
@@ -108,7 +109,7 @@ class EkfSlam:
         self._telling_way, self.wheel_noise = TellingWay(), WheelNoise(config.wheels)
         self._rest, self._motion_gate = RestDetector(), MotionGate()
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
-        self._moving, self._resting_view = MovingFeatures(), RestingView()
+        self._moving, self._admission, self._resting_view = MovingFeatures(), Admission(), RestingView()
         self._steady, self._frozen, self._way = SteadyRate(), FrozenCamera(), WayAgreement()
         self._heading = HeadingReference(config.reference, config.gyro)
         at_first = config.gyro if config.reference.estimate_noise else config.rest
@@ -285,9 +286,7 @@ class EkfSlam:
         if not is_at_rest and self._agrees(update) and len(ids := self._moving.find(self.state, update)):
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
         self._moving.update(observations.ids, update.dropped_ids)
-        known = update.used + update.rejected + update.unmoved
-        has_new = known < len(observations.ids) or len(update.dropped_ids) > 0
-        new = unmapped(self.state, observations, self._moving, features.map_size) if has_new else []
+        new = self._admission.choose(self.state, observations.ids, self._moving, features.map_size)
         if new:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:

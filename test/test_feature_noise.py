@@ -17,7 +17,7 @@ from gyrocal_ros.ekf.feature_noise import (
     learn_noise,
     own_noise,
 )
-from gyrocal_ros.ekf.robust import Judged
+from gyrocal_ros.ekf.judged import Judged
 from gyrocal_ros.ekf.state import State, unknown_noise
 
 COUNT = 5

@@ -10,14 +10,8 @@ from contracts import NOISE_PX, PIXELS, view_at
 from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.robust import (
-    HUBER_BOUND,
-    MIN_FEATURES,
-    Consensus,
-    consensus,
-    each_alone,
-    leave_one_out,
-)
+from gyrocal_ros.ekf.judged import each_alone, leave_one_out
+from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Consensus, consensus
 from gyrocal_ros.ekf.state import POSE, State
 from gyrocal_ros.ekf.update import Innovation, innovate
 

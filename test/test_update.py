@@ -23,7 +23,7 @@ from filter_states import (
 
 from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, IntArray, MotionBlock
-from gyrocal_ros.ekf.robust import mahalanobis
+from gyrocal_ros.ekf.judged import mahalanobis
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import BIAS, EULER, POSE, YAW, State
 from gyrocal_ros.ekf.update import (

@@ -51,7 +51,7 @@ class FeatureLikelihoodRecorder:
 
 @compiled
 def given_others(residual: Array, whitening: Array) -> Array:
-    """Return the log-likelihood (m,) of each feature given the others, see `robust.leave_one_out`.
+    """Return the log-likelihood (m,) of each feature given the others, see `judged.leave_one_out`.
 
     Args:
         residual: nu (m, r).

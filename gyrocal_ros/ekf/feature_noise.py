@@ -13,7 +13,7 @@ import math
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed
-from gyrocal_ros.ekf.robust import Judged
+from gyrocal_ros.ekf.judged import Judged
 from gyrocal_ros.ekf.state import FeatureNoise, State
 from gyrocal_ros.kernels import compiled
 

@@ -24,14 +24,16 @@ from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.image_model import ImageModel
+from gyrocal_ros.ekf.judged import Judged, each_alone
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
-from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, mark_seen, match_ids
+from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget, mark_seen, match_ids
 from gyrocal_ros.ekf.near_features import with_near_features
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
-from gyrocal_ros.ekf.robust import Consensus, Judged, consensus, each_alone
+from gyrocal_ros.ekf.robust import Consensus, consensus
 from gyrocal_ros.ekf.slow_errors import differences, with_slow_errors
 from gyrocal_ros.ekf.stamp_noise import stamp_error, with_stamp_noise
 from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen, with_further_errors
+from gyrocal_ros.ekf.turning_view import TURNS_WITH_CAMERA, turn_with_camera
 from gyrocal_ros.ekf.update import (
     NO_DIFFERENCES,
     NO_FEATURES,
@@ -116,6 +118,12 @@ def update_from_image(
         if nearer is not state:
             state, innovation = nearer, _innovation(nearer, model, matches)
     found = _consensus(innovation, model)
+    if found.contradicts_pose and model.form.is_anchored and not model.stays:
+        turning = _turning_ids(state, model, matches)
+        if len(turning):
+            return forget(state, turning), MeasurementUpdate(
+                unmoved=repeated, rejected=len(matches.rows), dropped_ids=turning, event=TURNS_WITH_CAMERA
+            )
     judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
     learns = model.form.is_robust and model.config.camera.estimate_pixel_noise
     if learns:
@@ -160,6 +168,15 @@ def _compared(
     judged = _consensus(changed(innovation, covariance=covariance), model).judged
     moved = (~matches.unmoved).nonzero()[0]
     return state.landmarks.ids[matches.rows[moved]], judged.distances[moved] / DOF_PER_FEATURE
+
+
+def _turning_ids(state: State, model: ImageModel, matches: _Matches) -> IntArray:
+    """Return the features that turn with the camera; see `turning_view`."""
+    parameters, *anchors = features_seen(state, matches.rows)
+    seen = matches.observed.pixels
+    turning = turn_with_camera(model.view, parameters[:, :2], Anchors(*anchors), seen, model.noise_px)
+    ids: IntArray = state.landmarks.ids[matches.rows[turning]]
+    return ids
 
 
 def _match(state: State, model: ImageModel, observations: FeatureObservations) -> _Matches:

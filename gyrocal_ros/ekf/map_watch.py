@@ -77,13 +77,15 @@ class LostMaps:
 class SlipWatch:
     """Tells once of each time at which the images contradict the wheels: these slip, or the robot is lifted.
 
+    It tells once of what turns with the camera, too.
+
     Stamps of a late camera contradict wheels and gyro in turn, so that where turns are contradicted the
     wheels are not to blame.
     """
 
     def __init__(self) -> None:
         self._last_ns: dict[str, int] = {}
-        self._turns, self._turned_ns = 0, -1
+        self._turns, self._turned_ns, self._slipped_ns = 0, -1, -1
         self._lifts = 0
 
     def slip(self, t_ns: int, *, drives: bool) -> Slip:
@@ -95,9 +97,7 @@ class SlipWatch:
         """
         if self._turned_ns >= 0 and seconds(t_ns - self._turned_ns) <= CONTRADICTED_TURNS_S:
             return Slip.EXCLUDED
-        last_ns = max(self._last_ns.values(), default=None)
-        goes_on = last_ns is not None and seconds(t_ns - last_ns) < GOES_ON_S
-        if goes_on:
+        if self._slipped_ns >= 0 and seconds(t_ns - self._slipped_ns) < GOES_ON_S:
             return Slip.GOES_ON
         return Slip.ON_FLOOR if drives else Slip.POSSIBLE
 
@@ -109,7 +109,8 @@ class SlipWatch:
         is_lift = update.slip_std is not None and update.slip_std[2] > 0.0
         self._lifts = self._lifts + 1 if is_lift else 0
         if update.slip_std is None:
-            return ''
+            return self._once(update.event, t_ns) if update.event else ''
+        self._slipped_ns = t_ns
         return self._once(LIFTED if self._lifts >= LIFTED_IMAGES else SLIPS, t_ns)
 
     def _once(self, event: str, t_ns: int) -> str:

@@ -9,7 +9,7 @@ where the map expects it, and a smaller depth explains that, the depth is unknow
 from __future__ import annotations
 
 from gyrocal_ros.config.sections import FeatureConfig
-from gyrocal_ros.ekf.robust import mahalanobis
+from gyrocal_ros.ekf.judged import mahalanobis
 from gyrocal_ros.ekf.state import State, with_further_errors
 from gyrocal_ros.ekf.update import Innovation, own_precisions
 from gyrocal_ros.statistics import chi_square_quantile

@@ -15,10 +15,10 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.gating import inliers
-from gyrocal_ros.ekf.positive_definite import inverse, whitener
+from gyrocal_ros.ekf.judged import Judged, each_alone, inflated, leave_one_out
+from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.state import POSE
-from gyrocal_ros.ekf.update import Innovation, own_precisions
-from gyrocal_ros.errors import IndefiniteCovarianceError
+from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.statistics import chi_square_quantile
 
@@ -49,69 +49,6 @@ Weighed: TypeAlias = tuple[Array, Array, Array, float, float, float]
 """What `weigh_loosely` returns."""
 MIN_FEATURES = 5
 """Fewest features that may contradict the pose: the better half of them determines one."""
-
-
-@quickly_filled
-@dataclass(frozen=True, slots=True, eq=False)
-class Judged:
-    """Comparison of each of m features with its prediction."""
-
-    distances: Array
-    """(m,) squared Mahalanobis distances, chi-square distributed with r degrees of freedom."""
-    noise_share: Array
-    """(m,) share of the measurement noise in the variance of the difference."""
-    nis: float
-    """Normalised innovation squared of all features together; NaN where each is judged alone."""
-
-
-def mahalanobis(residual: Array, precisions: Array) -> Array:
-    """Return the squared Mahalanobis distance (m,) of each innovation (m, r) by its precision (m, r, r)."""
-    distances: Array = np.sum((residual[:, None, :] @ precisions)[:, 0] * residual, axis=1)
-    return distances
-
-
-def each_alone(innovation: Innovation) -> Judged:
-    """Compare every feature with its prediction by the map alone.
-
-    Raises:
-        FilterDivergedError: the covariance of a feature is singular.
-    """
-    distances = mahalanobis(innovation.residual, own_precisions(innovation))
-    total = np.einsum('mii->m', innovation.own_covariances())
-    return Judged(distances, np.einsum('mii->m', innovation.noise) / total, np.nan)
-
-
-def leave_one_out(innovation: Innovation, inflation: Array) -> Judged:
-    """Predict every feature from all others.
-
-    With S^-1 of the whole image, its blocks B_ii and y = S^-1 nu, the difference from the prediction by the
-    others is B_ii^-1 y_i, with covariance B_ii^-1 (Rasmussen and Williams 2006, eq. 5.12).
-
-    Args:
-        innovation: of the m features.
-        inflation: (m,) factors on the noise of the features, where they are the others.
-
-    Raises:
-        FilterDivergedError: S is not positive definite.
-    """
-    m, r = innovation.residual.shape
-    each = np.arange(m)
-    try:
-        precision = inverse(_inflated(innovation, inflation).reshape(m * r, m * r))
-        own = np.linalg.inv(precision.reshape(m, r, m, r)[each, :, each, :])
-        weighted = (precision @ innovation.residual.ravel()).reshape(m, r)
-        difference = (own @ weighted[:, :, None])[:, :, 0]
-        if (inflation == 1.0).all():  # variance^-1 difference is y itself
-            variance, distances = own, (difference * weighted).sum(axis=1)
-        else:
-            variance = own - (inflation - 1.0)[:, None, None] * innovation.noise
-            distances = mahalanobis(difference, np.linalg.inv(variance))
-    except np.linalg.LinAlgError as error:
-        raise IndefiniteCovarianceError from error
-    if not (distances >= 0.0).all():
-        raise IndefiniteCovarianceError
-    noise_share = np.einsum('mii->m', innovation.noise) / np.einsum('mii->m', variance)
-    return Judged(distances, noise_share, float(np.vdot(weighted, innovation.residual)))
 
 
 class Slip(Enum):
@@ -148,6 +85,8 @@ class Consensus:
     slip_std: Array | None = None
     """(6,) standard deviations of the pose by a slip, or a lift, that explains what the features show; None
     without."""
+    contradicts_pose: bool = False
+    """True if the features contradict the predicted pose, so that they were judged by another one."""
     contradicts_turn: bool = False
     """True if only another turn than that by the gyro explains what the features show."""
 
@@ -198,6 +137,31 @@ def consensus(
     half_agrees = 2 * np.count_nonzero(predicted.good) >= m
     if half_agrees and looser_pose_gain(innovation, loose_std, predicted.judged.distances) <= pose_gate:
         return predicted
+    found = _by_another_pose(innovation, whitening, agreeing, outlier_probability, interval_s, slip)
+    return changed(found, contradicts_pose=True)
+
+
+def _by_another_pose(
+    innovation: Innovation,
+    whitening: Array,
+    agreeing: Consensus,
+    outlier_probability: float,
+    interval_s: float,
+    slip: Slip,
+) -> Consensus:
+    """Return what features that contradict the predicted pose say: of a slip, a lift, a turn, or of nothing.
+
+    Args:
+        innovation: of the features.
+        whitening: L^-1 of its covariance.
+        agreeing: judgement by those that agree with the predicted pose and with each other.
+        outlier_probability: as the further arguments, see `consensus`.
+        interval_s: the same.
+        slip: the same.
+    """
+    m, r = innovation.residual.shape
+    gate = chi_square_quantile(1.0 - outlier_probability, r)
+    pose_gate = chi_square_quantile(1.0 - outlier_probability, POSE_DOF)
     by_slip, by_lift = SLIP_MAY_LEAVE[slip]
     for largest, std in ((by_slip, SLIP_RATE * interval_s), (by_lift, LIFT_RATE * interval_s)):
         weighed = weigh_loosely(innovation, std, *WEIGHING)
@@ -205,7 +169,7 @@ def consensus(
         left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
         if left < largest and _witnesses(agreeing, weighed[1], gate) < MIN_WITNESSES:
             return _slipping(innovation, std, weighed, gate)
-    loose = weigh_loosely(innovation, loose_std, *WEIGHING)
+    loose = weigh_loosely(innovation, LOOSE_POSE_RATE * interval_s, *WEIGHING)
     if _witnesses(agreeing, loose[1], gate) >= MIN_WITNESSES:
         outvoted = 2 * np.count_nonzero(agreeing.good) < np.count_nonzero(loose[1] <= gate)
         return changed(agreeing, good=np.zeros(m, bool)) if outvoted else agreeing
@@ -246,7 +210,7 @@ def _by_largest_agreement(innovation: Innovation, gate: float) -> Consensus:
     agrees = largest_agreement(innovation, gate)
     judged = leave_one_out(innovation, np.where(agrees, 1.0, MAX_INFLATION))
     inflation = np.clip(np.sqrt(judged.distances) / HUBER_BOUND, 1.0, MAX_INFLATION)
-    weighed = changed(innovation, covariance=_inflated(innovation, inflation))
+    weighed = changed(innovation, covariance=inflated(innovation, inflation))
     return Consensus(weighed, judged, judged.distances <= gate)
 
 
@@ -291,7 +255,7 @@ def _slipping(innovation: Innovation, std: Array, weighed: Weighed, gate: float)
     stacked = innovation.stacked.copy()  # H P begins with the pose
     stacked[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
     loose = _with_looser_pose(innovation, std)
-    slipping = changed(loose, stacked=stacked, covariance=_inflated(loose, inflation))
+    slipping = changed(loose, stacked=stacked, covariance=inflated(loose, inflation))
     return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std)
 
 
@@ -363,7 +327,7 @@ def _with_noise(innovation: Innovation, inflation: Array, whitening: Array) -> I
     """Return the innovation with inflated noise in its covariance, else with what whitens it."""
     if max(inflation.tolist()) == 1.0:
         return changed(innovation, whitening=whitening)
-    return changed(innovation, covariance=_inflated(innovation, inflation))
+    return changed(innovation, covariance=inflated(innovation, inflation))
 
 
 def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
@@ -374,16 +338,6 @@ def _with_looser_pose(innovation: Innovation, std: Array) -> Innovation:
     return changed(innovation, covariance=covariance)
 
 
-def _inflated(innovation: Innovation, inflation: Array) -> Array:
-    """Return the covariance (m, r, m, r) with inflated noise."""
-    if max(inflation.tolist()) == 1.0:
-        return innovation.covariance
-    each = np.arange(len(inflation))
-    covariance = innovation.covariance.copy()
-    covariance[each, :, each, :] += (inflation - 1.0)[:, None, None] * innovation.noise
-    return covariance
-
-
 def _squared_norm(innovation: Innovation, inflation: Array, chosen: IntArray) -> float:
     """Return `nu^T S^-1 nu` of the features of the given indices, with inflated noise (factors (m,)).
 
@@ -391,6 +345,6 @@ def _squared_norm(innovation: Innovation, inflation: Array, chosen: IntArray) ->
         FilterDivergedError: their covariance is not positive definite.
     """
     residual = innovation.residual[chosen].ravel()
-    covariance = _inflated(innovation, inflation)[chosen][:, :, chosen].reshape((len(residual),) * 2)
+    covariance = inflated(innovation, inflation)[chosen][:, :, chosen].reshape((len(residual),) * 2)
     whitened = whitener(covariance) @ residual
     return float(whitened @ whitened)

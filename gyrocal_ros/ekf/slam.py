@@ -285,6 +285,7 @@ class EkfSlam:
         self._telling_way.see(self.state, model.view)
         if not is_at_rest and self._agrees(update) and len(ids := self._moving.find(self.state, update)):
             self.state, gone_ids = forget(self.state, ids), np.concatenate([gone_ids, ids])
+        self._moving.add(update.dropped_ids if update.event else NONE)  # they turn with the camera
         self._moving.update(observations.ids, update.dropped_ids)
         new = self._admission.choose(self.state, observations.ids, self._moving, features.map_size)
         if new:

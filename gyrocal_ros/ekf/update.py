@@ -135,7 +135,7 @@ class MeasurementUpdate:
     heading_std_rad: float = float('nan')
     """The innovation as a heading, by the rotation that fits it best, and its std by measurement noise."""
     noise_distances: Array = field(default_factory=lambda: NONE)
-    """Squared distances of the features that the pixel noise dominates, see `robust.Judged`."""
+    """Squared distances of the features that the pixel noise dominates, see `judged.Judged`."""
     changes_px2: Array = field(default_factory=lambda: NONE)
     """Changes of unmoved features, see `repeated_errors.Motion`."""
     waits: bool = False

@@ -93,6 +93,7 @@ def assert_calibrated(run: Run, percent: float = 0.04, true_scale: float = TRUE_
 def _correlation(covariance: Array) -> Array:
     """Return the correlation matrix: its eigenvalues do not depend on the units of the state."""
     std = np.sqrt(covariance.diagonal())
+    std[std == 0.0] = 1.0  # what is certain
     return covariance / np.outer(std, std)
 
 

@@ -11,7 +11,7 @@ from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.judged import each_alone, leave_one_out
-from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Consensus, consensus
+from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Consensus, Slip, consensus
 from gyrocal_ros.ekf.state import POSE, State
 from gyrocal_ros.ekf.update import Innovation, innovate
 
@@ -120,6 +120,24 @@ def test_half_of_the_view_that_moves_is_rejected(fixed: int, axis: int) -> None:
     found = judged_by(innovation)
     np.testing.assert_array_equal(found.good, ~moves)
     assert found.slip_std is None and not found.contradicts_turn
+
+
+@pytest.mark.parametrize('largest_rad', [0.05, 0.2])
+def test_a_turn_that_no_gyro_misses_is_followed_with_a_free_pose(largest_rad: float) -> None:
+    """All features agree upon a turn of 0.1 rad that the gyro has not seen."""
+    state = known_map(0.01)
+    turned = state.mean[POSE] + np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.1])
+    rows = np.arange(5)
+    seen = INVERSE_DEPTH.predict(view_at(turned), state.features, state.anchors_of(rows)).expected
+    expected = INVERSE_DEPTH.predict(view_at(state.mean[POSE]), state.features, state.anchors_of(rows))
+    innovation = innovation_of(seen - expected.expected, 0.01)
+    found = consensus(innovation, 1e-4, INTERVAL_S, Slip.EXCLUDED, largest_rad)
+    assert found.contradicts_pose and found.good.all()
+    if largest_rad > 0.1:
+        assert found.freed is None
+    else:
+        assert found.freed is not None
+        assert found.freed.turn_rad == pytest.approx(0.1, rel=0.1)
 
 
 def test_witnesses_that_are_outvoted_leave_nothing_to_use() -> None:

@@ -58,7 +58,7 @@ def is_right(found: Calibration, true: float) -> bool:
     return not found.converged or abs(found.scale_factor - true) < 3.0 * found.scale_factor_std
 
 
-@pytest.mark.parametrize('wrong_by', [-0.05, -0.002, 0.0005, 0.01])
+@pytest.mark.parametrize('wrong_by', [-0.25, -0.05, -0.002, 0.0005, 0.01, 0.25])
 def test_a_wrong_stored_calibration_is_dropped(wrong_by: float) -> None:
     """Within 30 s, which is two turns each way."""
     source = recording('cleaning', 3, 30.0)

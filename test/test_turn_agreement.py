@@ -126,7 +126,7 @@ def test_exchanged_axes_are_named_where_the_filter_diverges() -> None:
         return item
 
     source = ModifiedSource(recording('cleaning', 2, 30.0), lambda items: map(exchanged, items))
-    with pytest.raises(FilterDivergedError, match='its axes are swapped'):
+    with pytest.raises(FilterDivergedError, match='an axis is mirrored or swapped'):
         calibrate(source, Config(), default_model())
 
 

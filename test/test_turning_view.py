@@ -11,7 +11,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, seconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.ekf.turning_view import TURNS_WITH_CAMERA, turn_with_camera
+from gyrocal_ros.ekf.turning_view import STAYS_PX, TURNS_WITH_CAMERA, turn_with_camera
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.features.base import Anchors, PosedCamera
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -43,7 +43,7 @@ def on_the_ceiling(yaw_deg: float) -> Array:
 def turning(pixels: Array, yaw_deg: float) -> list[int]:
     """Return the features that turn with the camera."""
     directions = bearing(CAMERA, FIRST_PX[: len(pixels)])
-    found = turn_with_camera(view(yaw_deg), directions, anchors(len(pixels)), pixels, NOISE_PX)
+    found = turn_with_camera(view(yaw_deg), directions, anchors(len(pixels)), pixels, STAYS_PX)
     return np.flatnonzero(found).tolist()
 
 

@@ -80,7 +80,7 @@ CASES = {
     'a limit that the readings prove': Case('rate_deadband', (), dead_rad_s=DEAD_RAD_S),
     'with a required signal': Case('bias_temperature', (0.05 * DEG,), duration_s=60.0),
     'of the images': Case('camera_time_offset', (0.03,)),
-    'that breaks the filter': Case('camera_tilt', (15.0 * DEG, 0.0), seed=4, duration_s=60.0),
+    'that breaks the filter': Case('camera_tilt', (20.0 * DEG, 0.0), seed=4, duration_s=60.0),
     'of the images, that breaks it': Case('camera_time_offset', (0.25,), seed=4, duration_s=60.0),
     'observable with a lever only': Case('wheel_scale', (0.2,), seed=4),
 }

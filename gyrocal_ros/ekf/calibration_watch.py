@@ -22,6 +22,9 @@ from gyrocal_ros.ekf.state import SCALE, YAW, State
 from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import UpdateStats
 
+MOST_CHANGE = 0.5
+"""Largest change of the scale factor that is followed: one that is larger is no change of a gyro."""
+
 
 @quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
@@ -120,6 +123,8 @@ class CalibrationWatch:
             tracks.common_px / self._focal_px, tracks.turn_px / self._focal_px, tracks.are_tracked
         )
         change = self._scale.add(duration_s, updates, sums, turned_rad, errors)
+        if change is not None and abs(change.value) > MOST_CHANGE:
+            change = None
         follows, events = self._follows_changes and self._scale.is_settled, []
         if change is not None and follows:
             state = self._scale.follow(state, change)

@@ -9,8 +9,11 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, Rig, quickly_filled
 from gyrocal_ros.ekf.effects_by_place import EffectsByPlace, PoseMotion, as_exposed, measurement_by_values
 from gyrocal_ros.ekf.robust import Slip
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.state import YAW, State
 from gyrocal_ros.model.features.base import Anchors, Parametrisation, PosedCamera, Prediction
+
+LARGEST_SCALE_ERROR, LARGEST_BIAS_RAD_S, LARGEST_TURN_ERROR_RAD = 0.3, math.radians(3.0), math.radians(1.0)
+"""Errors of scale factor and bias beyond which they are none of the gyro, and the same of a turn."""
 
 
 @quickly_filled
@@ -61,6 +64,17 @@ class ImageModel:
     def by_stamp(self) -> Array | None:
         """Change of the pose (6,) in a standard deviation of the stamp; None for exact stamps."""
         return self.stamp_std_s * self.motion.rate if self.stamp_std_s else None
+
+    def largest_turn_error_rad(self, state: State) -> float:
+        """Return the error of the turn since the last image beyond which it is none of the gyro.
+
+        A scale factor that is wrong itself is corrected, however large that is.
+        """
+        if max(map(abs, state.coefficients[:1].tolist()), default=0.0) > LARGEST_SCALE_ERROR:
+            return math.inf
+        rate_rad_s = abs(float(self.motion.rate[YAW]))
+        error_rad_s = LARGEST_SCALE_ERROR * rate_rad_s + LARGEST_BIAS_RAD_S
+        return error_rad_s * self.interval_s + LARGEST_TURN_ERROR_RAD
 
     @property
     def moves(self) -> bool:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,17 +22,18 @@ from gyrocal_ros.ekf.feature_likelihoods import given_others
 from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
 from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
+from gyrocal_ros.ekf.image_heading import as_heading
 from gyrocal_ros.ekf.image_model import ImageModel
 from gyrocal_ros.ekf.judged import Judged, each_alone
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget, mark_seen, match_ids
 from gyrocal_ros.ekf.near_features import with_near_features
 from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
-from gyrocal_ros.ekf.robust import Consensus, consensus
+from gyrocal_ros.ekf.robust import Consensus, Freed, consensus
 from gyrocal_ros.ekf.slow_errors import differences, with_slow_errors
 from gyrocal_ros.ekf.stamp_noise import stamp_error, with_stamp_noise
 from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen, with_further_errors
-from gyrocal_ros.ekf.turning_view import TURNS_WITH_CAMERA, turn_with_camera
+from gyrocal_ros.ekf.turning_view import TURNS_WITH_CAMERA, fixed_to_camera
 from gyrocal_ros.ekf.update import (
     NO_DIFFERENCES,
     NO_FEATURES,
@@ -42,7 +42,6 @@ from gyrocal_ros.ekf.update import (
     MeasurementUpdate,
     UpdateStats,
     innovate,
-    own_precisions,
     update,
 )
 from gyrocal_ros.ekf.wheel_noise import PositionScore
@@ -117,12 +116,12 @@ def update_from_image(
         nearer = with_near_features(state, innovation, model.config.features)
         if nearer is not state:
             state, innovation = nearer, _innovation(nearer, model, matches)
-    found = _consensus(innovation, model)
+    found = _consensus(state, innovation, model)
     if found.contradicts_pose and model.form.is_anchored and not model.stays:
-        turning = _turning_ids(state, model, matches)
-        if len(turning):
-            return forget(state, turning), MeasurementUpdate(
-                unmoved=repeated, rejected=len(matches.rows), dropped_ids=turning, event=TURNS_WITH_CAMERA
+        is_fixed, fixed = fixed_to_camera(state, model, matches.rows, matches.observed.pixels)
+        if is_fixed:
+            return forget(state, fixed), MeasurementUpdate(
+                unmoved=repeated, rejected=len(matches.rows), dropped_ids=fixed, event=TURNS_WITH_CAMERA
             )
     judged, good = found.judged, found.good & (matches.prediction.points_c[:, 2] > MIN_DEPTH)
     learns = model.form.is_robust and model.config.camera.estimate_pixel_noise
@@ -131,10 +130,14 @@ def update_from_image(
     learns_slow_errors = learns and observations.covariances_px2 is not None
     moved = ~matches.unmoved[good] if learns_slow_errors else None
     all_good = np.count_nonzero(good) == len(good)
-    used = found.innovation if all_good else found.innovation[good.nonzero()[0]]
+    used, freed = found.innovation, found.freed
+    if not all_good:
+        used = used[good.nonzero()[0]]
+        freed = freed and changed(freed, innovation=freed.innovation[good.nonzero()[0]])
     if found.slip_std is not None:
         state = with_further_errors(state, np.arange(POSE.stop), found.slip_std)
-    state, told = _updated(state, model, used, moved, may_tell_wheels=found.slip_std is None)
+    may_tell_wheels = found.slip_std is None and freed is None
+    state, told = _updated(state, model, used, freed, moved, may_tell_wheels=may_tell_wheels)
     kept, dropped_ids = state, told.dropped_ids
     if not found.rejects_image:
         drop_after, pixels = model.config.features.drop_after_rejections, matches.observed.pixels
@@ -148,6 +151,7 @@ def update_from_image(
         changes_px2=changes_px2,
         slip_std=found.slip_std,
         contradicts_turn=found.contradicts_turn,
+        is_freed=found.freed is not None,
         rejected=len(good) - told.used,
         noise_distances=_noise_dominated(judged, matches.unmoved, least) if is_in_pixels else np.empty(0),
         dropped_ids=dropped_ids,
@@ -165,18 +169,9 @@ def _compared(
     watched = innovation.sensitivity[:, :, model.scored : model.scored + LENS_AND_TILT]
     by_camera = watched.reshape(-1, LENS_AND_TILT) * PRIOR_STD[:LENS_AND_TILT]
     covariance = innovation.covariance + (by_camera @ by_camera.T).reshape(innovation.covariance.shape)
-    judged = _consensus(changed(innovation, covariance=covariance), model).judged
+    judged = _consensus(state, changed(innovation, covariance=covariance), model).judged
     moved = (~matches.unmoved).nonzero()[0]
     return state.landmarks.ids[matches.rows[moved]], judged.distances[moved] / DOF_PER_FEATURE
-
-
-def _turning_ids(state: State, model: ImageModel, matches: _Matches) -> IntArray:
-    """Return the features that turn with the camera; see `turning_view`."""
-    parameters, *anchors = features_seen(state, matches.rows)
-    seen = matches.observed.pixels
-    turning = turn_with_camera(model.view, parameters[:, :2], Anchors(*anchors), seen, model.noise_px)
-    ids: IntArray = state.landmarks.ids[matches.rows[turning]]
-    return ids
 
 
 def _match(state: State, model: ImageModel, observations: FeatureObservations) -> _Matches:
@@ -193,14 +188,20 @@ def _match(state: State, model: ImageModel, observations: FeatureObservations) -
 
 
 def _updated(
-    state: State, model: ImageModel, used: Innovation, moved: np.ndarray | None, *, may_tell_wheels: bool
+    state: State,
+    model: ImageModel,
+    used: Innovation,
+    freed: Freed | None,
+    moved: np.ndarray | None,
+    *,
+    may_tell_wheels: bool,
 ) -> tuple[State, MeasurementUpdate]:
     """Return the state after the update by the features used, and what these tell.
 
     Which of them have moved in the image matters to slow errors of the tracks, see `slow_errors`; None where
     these are not learned, as of features that come without covariances.
     """
-    heading_rad, heading_std_rad = _as_heading(used)
+    heading_rad, heading_std_rad = as_heading(used)
     told = MeasurementUpdate(used=len(used.rows), heading_rad=heading_rad, heading_std_rad=heading_std_rad)
     if not told.used:
         return state, told
@@ -213,7 +214,7 @@ def _updated(
     by_pose = used.prediction.by_pose
     if model.moves and may_tell_wheels:
         by_position = PositionScore(*position_score(by_pose, used.residual, whitening, YAW))
-    state, stats = _corrected(state, model, changed(used, whitening=whitening))
+    state, stats = _corrected(state, model, changed(used, whitening=whitening), freed)
     stats = stats if weights is None else weighted_scores(stats, weights)
     return state, changed(
         told,
@@ -228,9 +229,13 @@ def _updated(
     )
 
 
-def _corrected(state: State, model: ImageModel, used: Innovation) -> tuple[State, UpdateStats]:
-    """Return the state after the update by the features used."""
+def _corrected(
+    state: State, model: ImageModel, used: Innovation, freed: Freed | None
+) -> tuple[State, UpdateStats]:
+    """Return the state after the update by the features used, with a free pose if any, and what they tell."""
     after, stats = update(state, used)
+    if freed is not None:
+        after, _ = update(with_further_errors(state, np.arange(POSE.stop), freed.std), freed.innovation)
     if model.stays:
         after = with_kept(state, after, not_told_at_rest(state, model))
     else:
@@ -287,10 +292,16 @@ def _with_stamp_noise(innovation: Innovation, model: ImageModel) -> Innovation:
     return changed(innovation, covariance=covariance)
 
 
-def _consensus(innovation: Innovation, model: ImageModel) -> Consensus:
+def _consensus(state: State, innovation: Innovation, model: ImageModel) -> Consensus:
     outlier_probability = model.config.features.outlier_probability
     if model.form.is_robust:
-        return consensus(innovation, outlier_probability, model.interval_s, model.slip)
+        return consensus(
+            innovation,
+            outlier_probability,
+            model.interval_s,
+            model.slip,
+            model.largest_turn_error_rad(state),
+        )
     judged = each_alone(innovation)
     return Consensus(innovation, judged, inliers(judged.distances, DOF_PER_FEATURE, outlier_probability))
 
@@ -366,32 +377,3 @@ def _noise_dominated(judged: Judged, unmoved: np.ndarray, least: float) -> Array
     """Return the distances of moved features of whose variance at least that part is pixel noise."""
     features = zip(judged.distances.tolist(), judged.noise_share.tolist(), unmoved.tolist(), strict=True)
     return np.array([distance for distance, share, stays in features if share > least and not stays])
-
-
-def _as_heading(innovation: Innovation) -> tuple[float, float]:
-    """Return the innovation as a heading error, by least squares, and its standard deviation by pixel noise.
-
-    Features are weighted by their own covariance: a new one, of unknown depth, hardly determines the heading.
-    The standard deviation is NaN where the measurement is not in pixels.
-    """
-    if len(innovation.rows) == 0 or innovation.noise.shape[1] != 2:
-        return 0.0, float('nan')
-    return fit_heading(innovation, YAW)
-
-
-@compiled
-def fit_heading(innovation: Innovation, yaw: int) -> tuple[float, float]:
-    """Return the heading error (rad) that fits innovations in pixels best, and its standard deviation.
-
-    Args:
-        innovation: of the features; each is weighted by its own covariance.
-        yaw: index of the heading in the pose.
-
-    Raises:
-        FilterDivergedError: the covariance of a feature is singular.
-    """
-    by_yaw = innovation.prediction.by_pose[:, :, yaw]
-    weighted = (own_precisions(innovation) @ by_yaw[:, :, None])[:, :, 0]
-    information = float(np.vdot(weighted, by_yaw))
-    variance = float(np.vdot(weighted, (innovation.noise @ weighted[:, :, None])[:, :, 0]))
-    return float(np.vdot(weighted, innovation.residual)) / information, math.sqrt(variance) / information

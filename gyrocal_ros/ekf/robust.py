@@ -7,6 +7,7 @@ fixed in space, shows far more clearly than by its own innovation.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import Enum
 from typing import TypeAlias
@@ -17,7 +18,7 @@ from gyrocal_ros.data import Array, IntArray, changed, quickly_filled
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.judged import Judged, each_alone, inflated, leave_one_out
 from gyrocal_ros.ekf.positive_definite import whitener
-from gyrocal_ros.ekf.state import POSE
+from gyrocal_ros.ekf.state import POSE, YAW
 from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.statistics import chi_square_quantile
@@ -40,6 +41,8 @@ LIFT_RATE = np.array([0.3, 0.3, 0.3, 0.0, 0.0, 0.0])
 """The same where somebody lifts the robot; the gyros follow how it tilts."""
 BENT = 0.1
 """Share of a contradiction below which the pose explains it; the rest is the map, bent by earlier images."""
+MOST_LEFT_PX = 3.0
+"""The same as an error in the image, of the better half of the features: no map is bent more."""
 TURNED = 0.2
 """Share of a contradiction that a slip leaves, above which another turn is needed to explain it."""
 POSE_DOF = 6
@@ -74,6 +77,24 @@ SLIP_MAY_LEAVE = {
 
 @quickly_filled
 @dataclass(frozen=True, slots=True, eq=False)
+class Freed:
+    """An innovation as if the predicted pose had further errors: it says nothing of the gyro."""
+
+    innovation: Innovation
+    """With inflated noise in its covariance."""
+    std: Array
+    """(6,) standard deviations of these errors."""
+
+    @property
+    def turn_rad(self) -> float:
+        """By how much the features correct the heading."""
+        by_yaw = self.innovation.stacked[:, :, YAW].ravel()
+        size, residual = len(by_yaw), self.innovation.residual.ravel()
+        return float(by_yaw @ np.linalg.solve(self.innovation.covariance.reshape(size, size), residual))
+
+
+@quickly_filled
+@dataclass(frozen=True, slots=True, eq=False)
 class Consensus:
     """What the features of an image say of each other and of the predicted pose."""
 
@@ -85,6 +106,8 @@ class Consensus:
     slip_std: Array | None = None
     """(6,) standard deviations of the pose by a slip, or a lift, that explains what the features show; None
     without."""
+    freed: Freed | None = None
+    """For the state alone, where no gyro errs as much as the turn is contradicted; None elsewhere."""
     contradicts_pose: bool = False
     """True if the features contradict the predicted pose, so that they were judged by another one."""
     contradicts_turn: bool = False
@@ -97,7 +120,11 @@ class Consensus:
 
 
 def consensus(
-    innovation: Innovation, outlier_probability: float, interval_s: float, slip: Slip = Slip.POSSIBLE
+    innovation: Innovation,
+    outlier_probability: float,
+    interval_s: float,
+    slip: Slip = Slip.POSSIBLE,
+    largest_turn_error_rad: float = math.inf,
 ) -> Consensus:
     """Judge the features of an image by each other and by the pose: Huber's weights, and a gate.
 
@@ -106,15 +133,17 @@ def consensus(
     Otherwise, where most features contradict the pose, an effect that the model lacks may have turned it, and
     those that show the effect best would be rejected first. They are then judged with a looser pose: by a
     wider gate if that explains what they show. If not, and most of them contradict each other, none is used:
-    an image in the dark or of a hand still has corners. Few features do not contradict the pose, for they do
-    not determine one. Features that agree with the predicted pose are witnesses against any other one that
-    contradicts them: a wrong pose has none.
+    an image in the dark or of a hand still has corners. Where they agree upon a turn that no gyro misses, the
+    state follows them with a free pose: that may be something else than the gyro, and must not spoil what is
+    known of it. Few features do not contradict the pose, for they do not determine one. Features that agree
+    with the predicted pose are witnesses against any other one that contradicts them: a wrong pose has none.
 
     Args:
         innovation: of the m features.
         outlier_probability: probability of the rejection of a good feature.
         interval_s: time since the last image.
         slip: whether the wheels may be to blame; while that goes on, a lift explains a part.
+        largest_turn_error_rad: error of the turn since the last image beyond which it is none of the gyro.
 
     Raises:
         FilterDivergedError: the covariance of the innovation is not positive definite.
@@ -138,7 +167,8 @@ def consensus(
     if half_agrees and looser_pose_gain(innovation, loose_std, predicted.judged.distances) <= pose_gate:
         return predicted
     found = _by_another_pose(innovation, whitening, agreeing, outlier_probability, interval_s, slip)
-    return changed(found, contradicts_pose=True)
+    is_turned = found.freed is not None and abs(found.freed.turn_rad) > largest_turn_error_rad
+    return changed(found, contradicts_pose=True, freed=found.freed if is_turned else None)
 
 
 def _by_another_pose(
@@ -169,13 +199,15 @@ def _by_another_pose(
         left = loose_nis / tight_nis if tight_nis - loose_nis > pose_gate else 1.0
         if left < largest and _witnesses(agreeing, weighed[1], gate) < MIN_WITNESSES:
             return _slipping(innovation, std, weighed, gate)
-    loose = weigh_loosely(innovation, LOOSE_POSE_RATE * interval_s, *WEIGHING)
+    std = LOOSE_POSE_RATE * interval_s
+    loose = weigh_loosely(innovation, std, *WEIGHING)
     if _witnesses(agreeing, loose[1], gate) >= MIN_WITNESSES:
         outvoted = 2 * np.count_nonzero(agreeing.good) < np.count_nonzero(loose[1] <= gate)
         return changed(agreeing, good=np.zeros(m, bool)) if outvoted else agreeing
     found = _by_looser_pose(innovation, whitening, loose, outlier_probability)
     is_turned = loose[-1] < BENT * loose[-2] or found.rejects_image
-    return changed(found, contradicts_turn=left > TURNED and is_turned)
+    freed = None if found.rejects_image else Freed(_freed(innovation, std, loose[0]), std)
+    return changed(found, contradicts_turn=left > TURNED and is_turned, freed=freed)
 
 
 @compiled
@@ -242,7 +274,8 @@ def _by_looser_pose(
     inflation, distances, noise_share, nis, tight_nis, loose_nis = weighed
     weighted = _with_noise(innovation, inflation, whitening)
     m, r = innovation.residual.shape
-    if loose_nis < BENT * tight_nis:  # the pixel noise grows where this goes on
+    left_px = np.sort(np.sqrt(distances * 0.5 * np.einsum('mii->m', innovation.noise)))[(m - 1) // 2]
+    if loose_nis < BENT * tight_nis and left_px < MOST_LEFT_PX:  # the noise grows where this goes on
         return Consensus(weighted, each_alone(innovation), inliers(distances, r, outlier_probability))
     good = distances <= chi_square_quantile(1.0 - outlier_probability, r)
     good &= 2 * np.count_nonzero(good) >= m
@@ -252,11 +285,16 @@ def _by_looser_pose(
 def _slipping(innovation: Innovation, std: Array, weighed: Weighed, gate: float) -> Consensus:
     """Return what the features say of each other with a slip of standard deviations (6,) of the pose."""
     inflation, distances, noise_share, nis, *_ = weighed
+    slipping = _freed(innovation, std, inflation)
+    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std)
+
+
+def _freed(innovation: Innovation, std: Array, inflation: Array) -> Innovation:
+    """Return the innovation as if the pose had further errors, with inflated noise, for an update."""
     stacked = innovation.stacked.copy()  # H P begins with the pose
     stacked[:, :, POSE] += innovation.prediction.by_pose * np.square(std)
     loose = _with_looser_pose(innovation, std)
-    slipping = changed(loose, stacked=stacked, covariance=inflated(loose, inflation))
-    return Consensus(slipping, Judged(distances, noise_share, nis), distances <= gate, std)
+    return changed(loose, stacked=stacked, covariance=inflated(loose, inflation))
 
 
 @compiled

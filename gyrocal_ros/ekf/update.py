@@ -143,7 +143,8 @@ class MeasurementUpdate:
     slip_std: Array | None = None
     """(6,) errors of the pose where the image contradicts only the way by the wheels, see `robust`."""
     contradicts_turn: bool = False
-    """True if they contradict the turn by the gyro."""
+    is_freed: bool = False
+    """True if it contradicts the turn by the gyro, and if no gyro errs so much, see `robust.Freed`."""
     event: str = ''
     """Event to report to the user."""
 
@@ -190,11 +191,8 @@ def innovation_matrices(
     The arguments are those of `innovate`.
     """
     by_pose, by_feature, covariance = prediction.by_pose, prediction.by_feature, state.covariance
-    residual, sensitivity, anchors = (
-        measured - prediction.expected,
-        state.sensitivity,
-        state.landmarks.anchors,
-    )
+    residual, sensitivity = measured - prediction.expected, state.sensitivity
+    anchors = state.landmarks.anchors
     (count, width), each = residual.shape, np.arange(len(residual))
     places = state.feature_columns(rows)
     numerator = by_pose @ covariance[:6] + by_feature @ covariance[places]

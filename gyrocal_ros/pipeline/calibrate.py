@@ -14,6 +14,7 @@ from gyrocal_ros.effects.traits import followers_by_signal
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.errors import NotObservableError, RecordingError
 from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -103,8 +104,11 @@ def _require_observable(run: Run) -> None:
     turns_rad = history.turn_rad + history.mean[:, YAW_BIAS] * history.dt_s
     turned_rad = float(np.abs(turns_rad[history.resting == 0]).sum())
     if turned_rad < MIN_TURN_RAD:
+        fault, _, remedy = mounting_fault(run).partition('; ')
         raise NotObservableError(
-            f'no turns: {math.degrees(turned_rad):.0f} deg in all, so the scale factor cannot be known',
+            f'no turns: {math.degrees(turned_rad):.0f} deg in all, so the scale factor cannot be known'
+            + (f': {fault}' if fault else ''),
             where=run.source,
-            todo='record two full turns each way, with the ceiling or the heading reference in view',
+            todo=remedy
+            or 'record two full turns each way, with the ceiling or the heading reference in view',
         )

@@ -85,8 +85,7 @@ def _turned(rig: Rig, roll: float, pitch: float, yaw: float) -> Rig:
 
 def _stuck(rate: Array, at: Moment) -> Array:
     """Return a constant rate from half of the recording on, for `size` seconds."""
-    is_stuck = 0.0 <= at.time_s - DURATION_S / 2.0 < at.size
-    return np.array([0.0, 0.0, 0.123]) if is_stuck else rate
+    return np.array([0.0, 0.0, 0.123]) if _is_faulty(at) else rate
 
 
 def _elapsed(at: Moment) -> float:
@@ -110,11 +109,43 @@ def _low_passed(rate: Array, at: Moment) -> Array:
     return passed
 
 
+def _is_faulty(at: Moment) -> bool:
+    """Return True for `size` seconds from the middle of the recording on."""
+    return 0.0 <= at.time_s - DURATION_S / 2.0 < at.size
+
+
 def _frozen(name: str, value: Any, at: Moment) -> Any:
     """Return the last value before the middle of the recording, from there on for `size` seconds."""
-    if not 0.0 <= at.time_s - DURATION_S / 2.0 < at.size:
+    if not _is_faulty(at):
         at.memory[name] = value
     return at.memory.setdefault(name, value)
+
+
+def _old_picture(pixels: Array, at: Moment) -> Array:
+    """Return the features of an earlier picture, with other noise."""
+    old: Array = _frozen('pixels', pixels, at)
+    return old + at.random.normal(0.0, 0.3, old.shape) if _is_faulty(at) else pixels
+
+
+def _dust(pixels: Array, at: Moment) -> Array:
+    """Return specks on the lens in the dark: they stay in the image."""
+    if not _is_faulty(at):
+        return pixels
+    specks = np.random.default_rng(0).uniform(-200.0, 200.0, (100, 2))[: len(pixels)]
+    return specks + at.random.normal(0.0, 0.1, specks.shape)
+
+
+def _other_ids(ids: IntArray, at: Moment) -> IntArray:
+    return 1_000_000 + np.arange(len(ids)) if _is_faulty(at) else ids
+
+
+def _wandering(pixels: Array, at: Moment) -> Array:
+    """Return features that wander, each by itself, as on water."""
+    steps: Array = at.memory.setdefault('steps', np.zeros((100, 2)))
+    if not _is_faulty(at):
+        return pixels
+    at.memory['steps'] = steps + at.random.normal(0.0, 4.0, steps.shape)
+    return _dust(pixels, at) + steps[: len(pixels)]
 
 
 def _is_paused(at: Moment) -> bool:
@@ -219,6 +250,16 @@ FAULTS: dict[str, SemanticFault] = {
         (2.0, 20.0, 90.0),
         pixels=lambda pixels, at: _frozen('pixels', pixels, at),
         ids=lambda ids, at: _frozen('ids', ids, at),
+    ),
+    'old picture with new noise': SemanticFault(
+        (2.0, 10.0),
+        pixels=_old_picture,
+        ids=lambda ids, at: _frozen('ids', ids, at),
+    ),
+    'dust in the dark': SemanticFault((2.0, 10.0), pixels=_dust, ids=_other_ids),
+    'features wander': SemanticFault((2.0, 10.0), pixels=_wandering, ids=_other_ids),
+    'ids exchanged for a while': SemanticFault(
+        (2.0, 10.0), ids=lambda ids, at: at.random.permutation(ids) if _is_faulty(at) else ids
     ),
     'features without numbers': SemanticFault(
         (0.02, 0.5),

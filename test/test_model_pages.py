@@ -432,11 +432,15 @@ class TestConclusions:
         place = Failure('the scale needs -0.041 %', 5.0, from_s=1.0, to_s=2.0)
         for places, level, sentence in (
             ((), 'green', 'Nothing is missing: all measurements agree with the model within chance.'),
-            ((place,), 'yellow', 'Nothing is missing; one place, listed below, is off by more than chance.'),
+            (
+                (place,),
+                'yellow',
+                'The model fits as a whole; one place, listed below, is off by more than chance.',
+            ),
             (
                 (place,) * 3,
                 'yellow',
-                'Nothing is missing; 3 places, listed below, are off by more than chance.',
+                'The model fits as a whole; 3 places, listed below, are off by more than chance.',
             ),
         ):
             case = replace(diagnosis, verdict='nothing_missing', missing=(), fails_where=places)

@@ -221,7 +221,7 @@ def _nothing_missing(count: int) -> str:
     if count == 0:
         return NOTHING_MISSING
     places = 'one place, listed below, is' if count == 1 else f'{count} places, listed below, are'
-    return f'Nothing is missing; {places} off by more than chance.'
+    return f'The model fits as a whole; {places} off by more than chance.'
 
 
 def missing_sentence(

@@ -36,8 +36,8 @@ def tilt_fault(errors: Array, sigma: float) -> str:
     """Return by how much the camera is tilted, (2,) in rad."""
     tilt_deg = math.degrees(float(np.linalg.norm(errors)))
     return (
-        f'{TILT} {tilt_deg:.1f} deg beside the direction of its transform, or the IMU is mounted at an angle, '
-        f'or the principal point in camera_info is wrong ({sigma:.0f} sigma); {ASK_WHICH}'
+        f'{TILT} {tilt_deg:.1f} deg beside the direction of its transform, or the IMU is mounted at an '
+        f'angle, or the principal point in camera_info is wrong ({sigma:.0f} sigma); {ASK_WHICH}'
     )
 
 

@@ -209,7 +209,7 @@ class TestDiagnose:
         assert 'scale_asymmetry' in diagnosis_status(unsure).sentence
         assert any('finer range' in text for text in advice(unsure))
         clean = replace(unsure, missing=(), verdict='nothing_missing')
-        assert diagnosis_status(clean).sentence.startswith('Nothing is missing')
+        assert diagnosis_status(clean).sentence.startswith('The model fits as a whole')
         shape = shapes(search_.last.run, search_.last.seen)[0]
         strange = UnexplainedStructure('the scale goes with time', 80.0, 9.0, shape)
         last = replace(search_.first, unexplained_structure=strange)

@@ -354,7 +354,8 @@ class TestImprove:
         assert found['effects'] == ['scale_factor']
         before, after = found['revisions']
         assert not after['kept'] and after['why'].startswith('left out: ')
-        assert re.search(r'; the held-out drift (stayed at|fell from|rose from) [0-9.]+ ', after['why'])
+        said = r'; the held-out drift (stayed at \S+ deg|(fell|rose) from \S+ to \S+ deg \(\d\.\d sigma\))$'
+        assert re.search(said, after['why']), after['why']
         assert abs(after['held_out_drift_fell_sigma']) < 2.0 and before['kept']
 
     @pytest.mark.slow

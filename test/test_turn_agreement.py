@@ -15,7 +15,7 @@ from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.ekf.turn_agreement import TurnAgreement, mounting_fault
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import FilterDivergedError, NotObservableError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 
@@ -128,6 +128,26 @@ def test_exchanged_axes_are_named_where_the_filter_diverges() -> None:
     source = ModifiedSource(recording('cleaning', 2, 30.0), lambda items: map(exchanged, items))
     with pytest.raises(FilterDivergedError, match='an axis is mirrored or swapped'):
         calibrate(source, Config(), default_model())
+
+
+@pytest.mark.parametrize(
+    ('reading', 'message', 'todo'),
+    [
+        (0.02, 'its axes are swapped', 'check the transform to imu_link'),
+        (0.0, 'it is stuck', 'check its wiring'),
+    ],
+)
+def test_a_gyro_that_does_not_see_the_turns_is_named(reading: float, message: str, todo: str) -> None:
+    def deaf(item: Measurement) -> Measurement:
+        if isinstance(item, ImuSample):
+            x, y, z = item.rate_rad_s
+            return replace(item, rate_rad_s=(x, y, reading * z))
+        return item
+
+    source = ModifiedSource(recording('cleaning', 2, 30.0), lambda items: map(deaf, items))
+    with pytest.raises(NotObservableError, match=f'no turns: .*: .*{message}') as caught:
+        calibrate(source, Config(), default_model())
+    assert caught.value.todo.startswith(todo)
 
 
 def test_the_scale_factor_counts_together_with_what_else_turns_the_robot() -> None:

@@ -13,6 +13,8 @@ from gyrocal_ros.bench.faults.semantic import FAULTS, Moment, faulty
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, seconds
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.calibration_watch import MOST_CHANGE
+from gyrocal_ros.ekf.scale_watch import ScaleChange, ScaleWatch
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
@@ -51,3 +53,17 @@ def test_images_of_something_else_do_not_spoil_a_calibration(name: str, seed: in
     std = run.history.std[-1, COEFFICIENTS_START]
     assert abs(error) < 3.0 * std
     assert std < WITHOUT_STD
+
+
+@pytest.mark.parametrize('change', [0.9 * MOST_CHANGE, 1.1 * MOST_CHANGE])
+def test_a_change_larger_than_any_of_a_gyro_is_not_followed(
+    change: float, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def shown(watch: ScaleWatch, *arguments: Any) -> ScaleChange:
+        return ScaleChange(0, -change, 0.01, 20.0, was_calibrated=True)
+
+    monkeypatch.setattr(ScaleWatch, 'add', shown)
+    monkeypatch.setattr(ScaleWatch, 'is_settled', True)
+    monkeypatch.setattr(ScaleWatch, 'follow', lambda watch, state, change: state)
+    run = calibrate(recording('cleaning', 3, 30.0), Config(), default_model(), follows_changes=True)
+    assert run.history.scale_followed.any() == (change < MOST_CHANGE)

@@ -123,9 +123,8 @@ class CalibrationWatch:
             tracks.common_px / self._focal_px, tracks.turn_px / self._focal_px, tracks.are_tracked
         )
         change = self._scale.add(duration_s, updates, sums, turned_rad, errors)
-        if change is not None and abs(change.value) > MOST_CHANGE:
-            change = None
-        follows, events = self._follows_changes and self._scale.is_settled, []
+        is_possible = change is not None and abs(change.value) <= MOST_CHANGE
+        follows, events = self._follows_changes and self._scale.is_settled and is_possible, []
         if change is not None and follows:
             state = self._scale.follow(state, change)
             if camera is not None:

@@ -70,7 +70,7 @@ class ImageModel:
 
         A scale factor that is wrong itself is corrected, however large that is.
         """
-        if max(map(abs, state.coefficients[:1].tolist()), default=0.0) > LARGEST_SCALE_ERROR:
+        if abs(float(state.coefficients[0])) > LARGEST_SCALE_ERROR:
             return math.inf
         rate_rad_s = abs(float(self.motion.rate[YAW]))
         error_rad_s = LARGEST_SCALE_ERROR * rate_rad_s + LARGEST_BIAS_RAD_S

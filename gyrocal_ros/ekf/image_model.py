@@ -68,9 +68,9 @@ class ImageModel:
     def largest_turn_error_rad(self, state: State) -> float:
         """Return the error of the turn since the last image beyond which it is none of the gyro.
 
-        A scale factor that is wrong itself is corrected, however large that is.
+        A scale factor that is wrong itself is corrected, however large that is; a bare model has none.
         """
-        if abs(float(state.coefficients[0])) > LARGEST_SCALE_ERROR:
+        if (abs(state.coefficients[:1]) > LARGEST_SCALE_ERROR).any():
             return math.inf
         rate_rad_s = abs(float(self.motion.rate[YAW]))
         error_rad_s = LARGEST_SCALE_ERROR * rate_rad_s + LARGEST_BIAS_RAD_S

@@ -32,6 +32,7 @@ from gyrocal_ros.diagnose.look_alikes import look_alikes
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.search import continued, search, try_effect
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
+from gyrocal_ros.diagnose.traces import traces
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.traits import has_impossible_sign, is_bias_walk, is_limit, may_break_the_filter
 from gyrocal_ros.ekf.run import Run
@@ -349,6 +350,23 @@ class TestSearch:
         after: Any = SimpleNamespace(estimate_of=lambda _: (values, 0.0 * values), settings=DEFAULT_SETTINGS)
         added = Addition(effect, None, after, 9.0, 9.0, 0.0, np.zeros(2), strengths=np.array([0]))
         assert added.is_negligible == is_negligible
+
+    @pytest.mark.parametrize(
+        ('constant_s', 'std_s', 'is_momentary'),
+        [(0.004, 0.01, True), (0.004, 0.2, False), (1.0, 0.01, False)],
+    )
+    def test_a_memory_that_shrinks_to_nothing_is_none(
+        self, constant_s: float, std_s: float, is_momentary: bool
+    ) -> None:
+        """A kink of the scale factor looks like a hysteresis of no duration."""
+        values, stds = np.array([math.radians(0.4), constant_s]), np.array([math.radians(0.01), std_s])
+        after: Any = SimpleNamespace(estimate_of=lambda _: (values, stds))
+        added = Addition(find_effect('turn_hysteresis'), None, after, 9.0, 9.0, 0.0, np.zeros(2), NONE)
+        assert added.is_momentary == is_momentary
+        left_out: Any = SimpleNamespace(
+            effect=added.effect, is_kept=False, is_negligible=True, is_momentary=is_momentary
+        )
+        assert traces([left_out]) == (set() if is_momentary else {'turn_hysteresis'})
 
     @pytest.mark.slow
     @pytest.mark.parametrize(('part', 'inexact', 'is_found'), [(0.5, '', True), (0.5, 'scale_cubic', False)])

@@ -10,10 +10,10 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both
-from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
+from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places, contradicts
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg, model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.effects.traits import has_impossible_sign
+from gyrocal_ros.effects.traits import has_impossible_sign, scanned_coefficient
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect, LimitEffect
 from gyrocal_ros.statistics import vuong_sigma
@@ -23,6 +23,8 @@ CLEAR_SIGMA, CHANCE_SIGMA = 4.0, 1.0
 """Significance from which a predictive gain is clear, and below which a rise of the drift is chance."""
 DRIFT_LEFT = 1.0 / 3.0
 """Part of a drift that an effect leaves at most that takes it away."""
+MOMENTARY = 0.1
+"""Time constant, as a part of the shortest one that is tried, below which a memory is none."""
 KNOWN_PART = 0.5
 """Standard deviation of an effect, as a part of its size, from which the filter has learned what it is."""
 
@@ -48,9 +50,9 @@ class Addition:
     """Effects that looked like it, until a run with each predicted the recording clearly worse."""
     alike: tuple[str, ...] = ()
     """Limits with which a run predicts the recording nearly as well; no score statistics tell of them."""
-    is_rejected: bool = False
-    """True for a learned effect with which the recording is not predicted better, or drifts more; and for one
-    that explains unevenly where a run does not confirm it."""
+    objection: str = ''
+    """Clause that says why a run does not confirm it, for a learned effect or one that shows at few moments;
+    empty if it does."""
     is_shown: bool = False
     """True for a noise that the readings themselves show."""
     is_rewritten: bool = False
@@ -86,8 +88,8 @@ class Addition:
             return True
         least = self.after.settings.min_predictive_gain
         predicts = self.predictive_gain > (-least if self.is_rewritten or self.is_shown else least)
-        counts = self.stands_out and not self.is_negligible
-        gets_worse = self.is_rejected or self.raises_drift or self.spoils_fit
+        counts = self.stands_out and not self.is_negligible and not self.is_momentary
+        gets_worse = bool(self.objection) or self.raises_drift or self.spoils_fit
         return predicts and counts and not gets_worse
 
     @cached_property
@@ -99,6 +101,16 @@ class Addition:
         settings, is_of_camera = self.after.settings, self.effect.acts_on == 'camera'
         part = settings.min_usual_part_camera if is_of_camera else settings.min_usual_part
         return self.is_below(part) and not self.takes_drift_away
+
+    @property
+    def is_momentary(self) -> bool:
+        """True if its memory has shrunk to nothing: what it stands for goes with the motion of the moment."""
+        place = scanned_coefficient(self.effect)
+        if place is None:
+            return False
+        values, stds = self.after.estimate_of(self.effect.name)
+        shortest = self.effect.coefficients[place].scan[0]
+        return bool(values[place] + 2.0 * stds[place] < MOMENTARY * shortest)
 
     @property
     def takes_drift_away(self) -> bool:
@@ -263,3 +275,13 @@ def addition(before: ExaminedModel, after: ExaminedModel) -> Addition:
         stds=unknown,
         strengths=found.places,
     )
+
+
+def objection_to_uneven(added: Addition) -> str:
+    """Return what speaks against an effect that shows at few moments; empty if a run confirms it."""
+    distance = added.distance_from_zero(added.after)
+    if min(added.sigma, distance) <= added.after.settings.significant_sigma:
+        return 'it shows at few moments, and the run does not confirm it clearly'
+    if added.is_below(1.0):
+        return 'it shows at few moments, and is smaller than in real sensors'
+    return 'the model does not fit with it either' if contradicts(added.after) else ''

@@ -221,6 +221,8 @@ def _reason(added: Addition) -> str:
         return better
     if not added.stands_out:
         return 'beside the other coefficients it is not significantly different from zero'
+    if added.is_momentary:
+        return 'its time constant went to zero: what is missing goes with the motion of the moment'
     if added.is_negligible:
         return 'it is far smaller than in real sensors: the trace of something that is not known exactly'
     if added.predictive_gain < 0.0:
@@ -229,9 +231,8 @@ def _reason(added: Addition) -> str:
         return f'{better}, but it drifts more'
     if added.spoils_fit:
         return f'{better}, but the model fits without it and not with it: it is not constant'
-    if added.is_rejected:
-        what = f'the recording is not predicted clearly better (log-likelihood +{size})'
-        return f'{what}, or it drifts more, or the model does not fit with it either'
+    if added.objection:
+        return f'{added.objection} (log-likelihood {added.predictive_gain:+.1f})'
     return f'the prediction of the recording hardly improves (log-likelihood +{size})'
 
 

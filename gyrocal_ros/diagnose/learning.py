@@ -247,6 +247,9 @@ def _judged(added: Addition) -> Addition:
     assert added.before is not None
     before_deg, after_deg = drift_of_both_deg(added.before.run, added.after.run)
     p_value = chi_square_tail(2.0 * max(added.gain, 0.0), len(added.effect.coefficients))
-    helps = _helps(added.before.run, added.after.run)
-    is_rejected = not helps or after_deg > MAX_DRIFT * before_deg
-    return replace(added, sigma=sigma_of(p_value), p_value=p_value, is_rejected=is_rejected)
+    objection = ''
+    if not _helps(added.before.run, added.after.run):
+        objection = 'the recording is not predicted clearly better'
+    elif after_deg > MAX_DRIFT * before_deg:
+        objection = 'it drifts more'
+    return replace(added, sigma=sigma_of(p_value), p_value=p_value, objection=objection)

@@ -10,12 +10,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import NONE, Addition, Search
+from gyrocal_ros.diagnose.additions import NONE, Addition, Search, objection_to_uneven
 from gyrocal_ros.diagnose.examined import (
     Calibrate,
     ExaminedModel,
     coefficient_places,
-    contradicts,
     examine,
 )
 from gyrocal_ros.diagnose.limit_runs import (
@@ -199,11 +198,10 @@ def _uneven_addition(
         return None
     with suppress(*CANNOT_RUN):
         added = with_one_more(present, uneven.effect, recording, calibrate)
-        gain, distance = added.predictive_gain, added.distance_from_zero(added.after)
+        gain = added.predictive_gain
         p_value = chi_square_tail(max(2.0 * gain / settings.min_inflation, 0.0), len(added.strengths))
         added = replace(added, gain=gain, sigma=sigma_of(p_value), p_value=p_value)
-        is_clear = min(added.sigma, distance) > settings.significant_sigma and not added.is_below(1.0)
-        return replace(added, is_rejected=not is_clear or contradicts(added.after))
+        return replace(added, objection=objection_to_uneven(added))
     return None
 
 

@@ -17,7 +17,8 @@ from gyrocal_ros.diagnose.ranking import RankedEffect, best_explanation
 
 def traces(found: Sequence[Addition]) -> set[str]:
     """Return the names of the effects that were not kept because they are traces."""
-    return {item.effect.name for item in found if not item.is_kept and item.is_negligible}
+    small = [item for item in found if not item.is_kept and item.is_negligible and not item.is_momentary]
+    return {item.effect.name for item in small}
 
 
 def best_beside(

@@ -249,6 +249,24 @@ def test_what_the_bias_follows_is_preferred_to_a_walk_that_no_gyro_has() -> None
     assert noise._part_of_law(jump, walk) == noise._part_of_law(jump, usual) == noise.JUMP_PART
 
 
+@pytest.mark.parametrize(
+    ('gain', 'more_drift', 'is_kept', 'is_better'),
+    [
+        (0.9, 1.1 * MORE_DRIFT, True, True),
+        (0.9, 0.9 * MORE_DRIFT, True, False),
+        (0.9, 1.1 * MORE_DRIFT, False, False),
+        (1.1, 1.0, False, True),
+    ],
+)
+def test_a_law_with_which_the_robot_drifts_far_less_refutes_a_noise(
+    gain: float, more_drift: float, is_kept: bool, is_better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A walk that no gyro has predicts the next image as well: coarse steps drove 5.4 deg in place of 0.1."""
+    found, rival = Mock(predictive_gain=1e3), Mock(predictive_gain=gain * 1e3, is_kept=is_kept)
+    monkeypatch.setattr(noise, 'drift_of_both_deg', lambda before, after: (more_drift, 1.0))
+    assert noise._is_better(rival, found) == is_better
+
+
 def test_a_few_readings_refute_no_noise() -> None:
     none = readings(np.zeros(0), 100.0)
     for name, size in SIZES.items():

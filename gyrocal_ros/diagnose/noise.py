@@ -43,7 +43,7 @@ RIVAL_PART = 0.85
 EFFECT_PART = 0.5
 """Part of the gain of a noise from which the best effect, significant or not, gets a run beside it."""
 MORE_DRIFT = 2.0
-"""Held-out drift with a noise, relative to that with effects, from which it does not take their place: a
+"""Held-out drift with a noise, relative to that with effects or a law, from which it does not replace them: a
 filter that follows the bias predicts the next image as well as the law behind it."""
 READ_PART = 0.2
 """Part of a white noise that the readings must show: a low-pass filter in the gyro may hide the rest."""
@@ -196,7 +196,7 @@ def _part_of_law(structure: UnexplainedStructure, noise: NoiseFit) -> float:
 
 
 def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> bool:
-    """Return True if neither what was found, nor any effect or unknown law, predicts as well as a noise."""
+    """Return True if neither what was found, nor any effect or unknown law, does as well as a noise."""
     gain = predictive_gain(searched.last.run, found.after.run)
     if float(gain.sum() - gain.max()) < MIN_GAIN or model_fit(found.after.run).fits is not True:
         return False
@@ -207,7 +207,14 @@ def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, c
         with suppress(*CANNOT_RUN):
             wider = examine(wider_model(first, best.effect), recording, calibrate, first.settings)
             rivals.append(addition(first, wider))
-    return all(rival is None or rival.predictive_gain < found.predictive_gain for rival in rivals)
+    return not any(rival is not None and _is_better(rival, found) for rival in rivals)
+
+
+def _is_better(rival: Addition, found: Addition) -> bool:
+    """Return True if a rival predicts better than a noise, or is kept and the robot drifts far less."""
+    noise_deg, rival_deg = drift_of_both_deg(found.after.run, rival.after.run)
+    drifts_less = rival.is_kept and noise_deg > MORE_DRIFT * rival_deg
+    return drifts_less or rival.predictive_gain >= found.predictive_gain
 
 
 def _first_kept(

@@ -29,6 +29,7 @@ from gyrocal_ros.diagnose.examined import ExaminedModel, examine
 from gyrocal_ros.diagnose.hypotheses import (
     AMPLITUDES,
     Law,
+    RankedLaw,
     carried_by,
     law_names,
     laws,
@@ -555,6 +556,27 @@ def test_a_law_helps_by_its_prediction_or_by_the_drift(
     monkeypatch.setattr(learning, 'better_sigma', lambda *drifts: drift_sigma)
     run = object()
     assert learning._helps(run, run) == helps  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    ('coarse', 'fine', 'contending'),
+    [(70.0, 110.0, ['jump', 'place']), (70.0, 80.0, ['place']), (50.0, 110.0, ['place'])],
+)
+def test_a_jump_is_compared_at_its_best_moment(
+    coarse: float, fine: float, contending: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Moments are tried some seconds apart; between them it gains far less."""
+    refined: Any = {'jump': RankedLaw(SimpleNamespace(name='jump'), fine)}  # type: ignore[arg-type]
+    ranked: Any = [
+        RankedLaw(SimpleNamespace(name=name), gain)  # type: ignore[arg-type]
+        for name, gain in [('place', 100.0), ('jump', coarse), ('heading', 65.0)]
+    ]
+    monkeypatch.setattr(
+        learning, '_at_the_moment', lambda present, law, calibrate: refined.get(law.effect.name, law)
+    )
+    present: Any = None
+    found = learning._contenders(present, ranked, lambda *about: pytest.fail('no run is needed'))
+    assert [law.effect.name for law in found] == contending
 
 
 # --- the command --------------------------------------------------------------------------------

@@ -28,6 +28,7 @@ from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects.learned.step import step
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, SensorModel, with_means
@@ -256,6 +257,7 @@ def test_what_the_bias_follows_is_preferred_to_a_walk_that_no_gyro_has() -> None
         (0.9, 0.9 * MORE_DRIFT, True, False),
         (0.9, 1.1 * MORE_DRIFT, False, False),
         (1.1, 1.0, False, True),
+        (0.9, 1.0, False, False),
     ],
 )
 def test_a_law_with_which_the_robot_drifts_far_less_refutes_a_noise(
@@ -265,6 +267,17 @@ def test_a_law_with_which_the_robot_drifts_far_less_refutes_a_noise(
     found, rival = Mock(predictive_gain=1e3), Mock(predictive_gain=gain * 1e3, is_kept=is_kept)
     monkeypatch.setattr(noise, 'drift_of_both_deg', lambda before, after: (more_drift, 1.0))
     assert noise._is_better(rival, found) == is_better
+
+
+@pytest.mark.parametrize(('factor', 'is_better'), [(0.95, False), (1.05, True)])
+def test_a_jump_that_explains_most_refutes_a_noise(
+    factor: float, is_better: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It explains one moment with one number, where the noise follows all else that the bias does."""
+    gain = factor * noise.JUMP_PART * 1e3
+    jump = Mock(effect=step('bias'), predictive_gain=gain, is_kept=True)
+    monkeypatch.setattr(noise, 'drift_of_both_deg', lambda before, after: (1.0, 1.0))
+    assert noise._is_better(jump, Mock(predictive_gain=1e3)) == is_better
 
 
 def test_a_few_readings_refute_no_noise() -> None:

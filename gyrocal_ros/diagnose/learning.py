@@ -48,6 +48,8 @@ MAX_DRIFT = 1.02
 """Largest held-out drift with the law, relative to that without."""
 RIVAL_PART, MAX_RIVALS = 0.85, 3
 """Part of the best marginal gain above which a law gets a run of its own, and the number of such runs."""
+COARSE_PART = 0.6
+"""The same part for a step whose moment is known to some seconds only: at the true one it gains more."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,14 +203,19 @@ def _rivals(
     """Run the filter with each of the likeliest laws."""
     if not ranked or ranked[0].gain < MIN_GAIN:
         return []
-    close = [item for item in ranked if item.gain > RIVAL_PART * ranked[0].gain][:MAX_RIVALS]
     additions = []
-    for law in close:
+    for law in _contenders(present, ranked, calibrate):
         with suppress(*CANNOT_RUN):
-            finest = _at_the_moment(present, law, calibrate)
-            after = examine(with_effect(present.model, finest.effect), recording, calibrate, present.settings)
-            additions.append(_judged(replace(addition(present, after), gain=finest.gain)))
+            after = examine(with_effect(present.model, law.effect), recording, calibrate, present.settings)
+            additions.append(_judged(replace(addition(present, after), gain=law.gain)))
     return additions
+
+
+def _contenders(present: ExaminedModel, ranked: Sequence[RankedLaw], calibrate: Calibrate) -> list[RankedLaw]:
+    """Return the likeliest laws, steps at their best moments."""
+    likely = [item for item in ranked if item.gain > COARSE_PART * ranked[0].gain]
+    finest = sorted((_at_the_moment(present, law, calibrate) for law in likely), key=lambda law: -law.gain)
+    return [item for item in finest if item.gain > RIVAL_PART * finest[0].gain][:MAX_RIVALS]
 
 
 def _best(tried: Sequence[Addition]) -> Addition | None:

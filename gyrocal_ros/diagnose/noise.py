@@ -25,6 +25,7 @@ from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import scatter_in_turns, walk_of_means, white_noise
 from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.traits import is_unusual, is_white_noise
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.errors import CANNOT_RUN
@@ -211,10 +212,14 @@ def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, c
 
 
 def _is_better(rival: Addition, found: Addition) -> bool:
-    """Return True if a rival predicts better than a noise, or is kept and the robot drifts far less."""
+    """Return True if a rival predicts better than a noise, or is kept and the robot drifts far less.
+
+    A jump explains one moment with one number, where the noise follows whatever else there is.
+    """
     noise_deg, rival_deg = drift_of_both_deg(found.after.run, rival.after.run)
     drifts_less = rival.is_kept and noise_deg > MORE_DRIFT * rival_deg
-    return drifts_less or rival.predictive_gain >= found.predictive_gain
+    part = JUMP_PART if isinstance(rival.effect, Step) else 1.0
+    return drifts_less or rival.predictive_gain >= part * found.predictive_gain
 
 
 def _first_kept(

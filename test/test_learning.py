@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -417,8 +418,12 @@ class TestLearning:
         (summary,) = summarise_laws([law])
         assert summary['in_model_as'] == 'sine of the heading'
         assert '  in the model as: sine of the heading' in list(law_in_words(law))
-        labels = [revision.label for revision in improvement(learned.searched).revisions]
-        assert labels == ['0_default', '1_bias_curve_heading', '2_bias_curve_heading_as_sine_of_the_heading']
+        fates = {revision.label: revision.fate for revision in improvement(learned.searched).revisions}
+        assert fates == {
+            '0_default': 'kept',
+            '1_bias_curve_heading': 'rewritten',
+            '2_bias_curve_heading_as_sine_of_the_heading': 'kept',
+        }
 
     def test_nothing_is_learned_where_nothing_is_missing(self, plain: Plain) -> None:
         source, recorded, first = plain
@@ -577,6 +582,37 @@ def test_a_jump_is_compared_at_its_best_moment(
     present: Any = None
     found = learning._contenders(present, ranked, lambda *about: pytest.fail('no run is needed'))
     assert [law.effect.name for law in found] == contending
+
+
+@pytest.mark.parametrize(
+    ('held_out_deg', 'sigma', 'fitted_deg', 'drifts_more'),
+    [
+        (0.9, 0.2, 1.0, False),
+        (1.1, -0.5, 0.6, False),
+        (1.1, -0.5, 0.8, True),
+        (3.0, -1.5, 0.2, True),
+    ],
+)
+def test_a_drift_that_rises_by_chance_is_no_objection_where_the_final_one_falls(
+    held_out_deg: float,
+    sigma: float,
+    fitted_deg: float,
+    drifts_more: bool,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In a short recording the held-out spans begin before a law is known."""
+    before, after = (Mock(history=Mock(coefficients=[known])) for known in ('without', 'with'))
+    fitted = {'without': 1.0, 'with': fitted_deg}
+    monkeypatch.setattr(
+        learning, 'drift_of_both', lambda *runs: (Mock(rms_deg=1.0), Mock(rms_deg=held_out_deg))
+    )
+    monkeypatch.setattr(learning, 'better_sigma', lambda *drifts: sigma)
+    monkeypatch.setattr(learning, 'reference_heading', lambda run: None)
+    monkeypatch.setattr(learning, 'held_out_from_s', lambda run: 0.0)
+    monkeypatch.setattr(
+        learning, 'blind_drift', lambda *about, coefficients: Mock(rms_deg=fitted[coefficients])
+    )
+    assert learning._drifts_more(before, after) == drifts_more
 
 
 # --- the command --------------------------------------------------------------------------------

@@ -160,7 +160,7 @@ def _row(revision: Revision) -> tuple[str, ...]:
     scale = conclude(revision.examined.run)
     return (
         revision.label,
-        'kept' if revision.is_kept else 'left out',
+        revision.fate,
         drift_in_words(revision.held_out),
         drift_in_words(revision.fitted),
         f'{revision.gain:+.1f}' if revision.effect is not None else '-',

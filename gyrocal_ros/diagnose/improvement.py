@@ -35,6 +35,8 @@ class Revision:
     """Effect added to the revision that it builds on; None for the first model, and where one was removed."""
     examined: ExaminedModel
     is_kept: bool
+    fate: str
+    """`kept`, `left out`, `removed again` or `rewritten`: in closed form, as another revision."""
     held_out: BlindDrift
     """Held-out blind drift: each span starts with what was known by then."""
     fitted: BlindDrift
@@ -125,6 +127,7 @@ def first_revision(examined: ExaminedModel, reference: tuple[Heading, str]) -> R
         effect=None,
         examined=examined,
         is_kept=True,
+        fate='kept',
         held_out=held_out,
         fitted=fitted,
         gain=0.0,
@@ -166,6 +169,7 @@ def revision(
         effect=added.effect,
         examined=added.after,
         is_kept=is_kept,
+        fate=fate,
         held_out=held_out,
         fitted=fitted,
         gain=added.predictive_gain,
@@ -188,6 +192,7 @@ def _removing(removal: Removal, number: int, reference: tuple[Heading, str]) -> 
         effect=None,
         examined=removal.after,
         is_kept=True,
+        fate='kept',
         held_out=held_out,
         fitted=fitted,
         gain=removal.predictive_gain,

@@ -6,8 +6,14 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from gyrocal_ros.diagnose.additions import Addition, Search, addition
-from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both, drift_of_both_deg
+from gyrocal_ros.diagnose.additions import CHANCE_SIGMA, Addition, Search, addition
+from gyrocal_ros.diagnose.drift import (
+    better_sigma,
+    blind_drift,
+    drift_of_both,
+    held_out_from_s,
+    reference_heading,
+)
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.examined import (
     Calibrate,
@@ -46,6 +52,9 @@ MIN_SIGMA = 2.0
 """Significance of the predictive gain over the blocks of the recording, or of the decrease of the drift."""
 MAX_DRIFT = 1.02
 """Largest held-out drift with the law, relative to that without."""
+FITTED_PART = 2.0 / 3.0
+"""Largest drift with a law, relative to that without, both with their final coefficients, where the held-out
+one rises by chance."""
 RIVAL_PART, MAX_RIVALS = 0.85, 3
 """Part of the best marginal gain above which a law gets a run of its own, and the number of such runs."""
 COARSE_PART = 0.6
@@ -252,11 +261,27 @@ def _at_the_moment(present: ExaminedModel, law: RankedLaw, calibrate: Calibrate)
 def _judged(added: Addition) -> Addition:
     """Return the addition with its significance, rejected unless it predicts better and drifts no more."""
     assert added.before is not None
-    before_deg, after_deg = drift_of_both_deg(added.before.run, added.after.run)
     p_value = chi_square_tail(2.0 * max(added.gain, 0.0), len(added.effect.coefficients))
     objection = ''
     if not _helps(added.before.run, added.after.run):
         objection = 'the recording is not predicted clearly better'
-    elif after_deg > MAX_DRIFT * before_deg:
+    elif _drifts_more(added.before.run, added.after.run):
         objection = 'it drifts more'
     return replace(added, sigma=sigma_of(p_value), p_value=p_value, objection=objection)
+
+
+def _drifts_more(before: Run, after: Run) -> bool:
+    """Return True if the held-out drift rises, unless that may be chance and that of the final models falls.
+
+    The spans of a short recording begin while a law is hardly known yet.
+    """
+    earlier, later = drift_of_both(before, after)
+    if not later.rms_deg > MAX_DRIFT * earlier.rms_deg:
+        return False
+    reference, from_s = reference_heading(after), held_out_from_s(after)
+    fitted_deg = [
+        blind_drift(run, reference, from_s, coefficients=run.history.coefficients[-1]).rms_deg
+        for run in (before, after)
+    ]
+    is_chance = better_sigma(earlier, later) > -CHANCE_SIGMA
+    return not (is_chance and fitted_deg[1] < FITTED_PART * fitted_deg[0])

@@ -98,7 +98,7 @@ def conclusion(improved: Improvement) -> Verdict:
 def _row(revision: Revision) -> tuple[str, ...]:
     return (
         revision.label,
-        'kept' if revision.is_kept else 'left out',
+        revision.fate,
         drift_in_words(revision.held_out),
         drift_in_words(revision.fitted),
         with_gain(revision.gain, revision.gain_sigma) if revision.effect is not None else '',

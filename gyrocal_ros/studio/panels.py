@@ -259,7 +259,7 @@ def revision_table(state: StudioState) -> list[Any]:
     rows = [
         (
             one.label,
-            ('present' if one is improved.final else 'kept') if one.is_kept else 'left out',
+            'present' if one is improved.final else one.fate,
             drift_in_words(one.held_out),
             drift_in_words(one.fitted),
             with_gain(one.gain, one.gain_sigma) if one.effect is not None else '',

@@ -167,7 +167,7 @@ def test_a_noise_that_came_after_several_effects_is_a_leftover(names: tuple[str,
     assert found == expected
 
 
-@pytest.mark.parametrize(('part_of_typical', 'count'), [(1.0, 0), (4.9, 0), (5.1, 1)])
+@pytest.mark.parametrize(('part_of_typical', 'count'), [(1.0, 0), (2.4, 0), (2.6, 1)])
 def test_a_model_with_a_noise_that_no_gyro_has(part_of_typical: float, count: int) -> None:
     noise = find_effect('bias_instability')
     usual = noise.coefficients[0].typical

@@ -135,12 +135,13 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     if is_judged and (diagnosis.unexplained is not None or diagnosis.fit.misfits or diagnosis.unusual_noise):
         words = ['gyrocal', 'learn', *bag_arguments(args), *_model_arguments(args), '-o', 'learned']
         steps = [f'Learn what no effect of the library explains: {shlex.join(words)}', *steps]
-    if diagnosis.missing:
+    usual = [item for item in diagnosis.missing if not item.is_unusual_noise]
+    if usual:
         improve = shlex.join(
             ['gyrocal', 'improve', *bag_arguments(args), *_model_arguments(args), '-o', 'improved']
         )
         steps = [
-            *(f'Add it to the model: {add_command(item.effect, args)}' for item in diagnosis.missing),
+            *(f'Add it to the model: {add_command(item.effect, args)}' for item in usual),
             f'Or add it and measure the error: {improve}',
             *steps,
         ]

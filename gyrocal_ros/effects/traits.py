@@ -18,7 +18,7 @@ from gyrocal_ros.model.sensor import (
 NOT_RECORDED = 'not recorded: '
 """Beginning of a reason why an effect is unobservable, where a recording with more signals would show it."""
 CEILING_IMAGES = 'images of the ceiling'
-MAX_USUAL = 5.0
+MAX_USUAL = 2.5
 """Size of a noise, relative to the largest usual one, beyond which something else is behind it."""
 SURE_SIGMA = 3.0
 """Standard deviations from which a sign is sure."""

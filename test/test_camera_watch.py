@@ -165,6 +165,19 @@ def test_the_time_between_images_and_gyro_is_followed_once_it_is_sure() -> None:
     assert not watch.with_time_offset(state, 10.0)[1]
 
 
+def test_a_time_offset_that_has_gone_is_no_fault_any_more() -> None:
+    state, watch = some_state(0.0), CameraWatch(0)
+    information = np.zeros((COUNT, COUNT))
+    information[TIME, TIME] = (20.0 / 0.01) ** 2
+    for offset_s, nis, is_fault in ((0.01, 402.0, True), (-0.02, 802.0, False)):
+        score = information[:, TIME] * offset_s
+        watch.add(0.1, (UpdateStats(nis, 2, information=information, score=score),))
+        assert watch.with_time_offset(state, 10.0)[1]
+        assert bool(watch.allowed_for) == is_fault
+    assert abs(watch.time_offset_s) < 0.001
+    assert '0.04 ms apart' in time_fault(np.array([4e-5]), 7.0)
+
+
 def test_what_the_model_estimates_is_no_error_of_the_camera() -> None:
     information = np.zeros((COUNT, COUNT))
     information[TIME, TIME] = (20.0 / 0.01) ** 2

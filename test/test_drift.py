@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from recordings import recording
+from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import (
@@ -163,6 +164,25 @@ def test_the_final_coefficients_fit_best(run: Run) -> None:
         blind_drift(replace(run, history=known), from_s=3.0, span_s=20.0).error_rad,
         blind_drift(replace(run, history=known), from_s=3.0, span_s=20.0, coefficients=final).error_rad,
     )
+
+
+def test_with_other_coefficients_the_bias_is_another_one() -> None:
+    """What a curve gives at rest was part of the bias as long as the curve was not known."""
+    run = drive(duration_s=200.0, gyro_noise=0.0).run
+    history = run.history
+    learned = np.minimum(history.time_s / 100.0, 1.0) * math.radians(0.5)
+    mean = np.column_stack([history.mean, learned])
+    mean[:, YAW_BIAS] -= learned
+    columns = np.column_stack([history.columns, history.gyro_valid_s])
+    resting = (history.wheel_turn_rad == 0.0).astype(float)
+    turn_rad = history.turn_rad + learned * history.gyro_valid_s
+    changed = replace(history, mean=mean, columns=columns, resting=resting, turn_rad=turn_rad)
+    wider = replace(run, history=changed)
+    held_out, fitted = (
+        blind_drift(wider, from_s=10.0, coefficients=known) for known in (None, mean[-1, YAW_BIAS + 1 :])
+    )
+    assert held_out.rms_deg < 0.1 and len(held_out.error_rad) > 10
+    np.testing.assert_allclose(fitted.error_rad, held_out.error_rad, atol=math.radians(0.1))
 
 
 def test_no_span_is_held_out_before_a_change_that_was_followed(run: Run) -> None:

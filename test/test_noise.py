@@ -117,6 +117,10 @@ def test_noise_is_a_verdict_of_its_own() -> None:
     assert found.fit.fits and found.unexplained is None
     assert found.missing[0].stds[0] > 0.0
     assert 'rate_noise' in diagnosis_status(found).sentence
+    for after_deg, is_advised in ((0.9, True), (2.0, False)):
+        noise = replace(found.missing[0], drift_before_deg=1.0, drift_after_deg=after_deg)
+        next_step = diagnosis_status(replace(found, missing=(noise,))).next_step
+        assert ('let `gyrocal improve` add it' in next_step) == is_advised != (next_step == ADD_NOISE)
 
 
 @pytest.mark.slow
@@ -251,21 +255,22 @@ def test_what_the_bias_follows_is_preferred_to_a_walk_that_no_gyro_has() -> None
 
 
 @pytest.mark.parametrize(
-    ('gain', 'more_drift', 'is_kept', 'is_better'),
+    ('gain', 'drift_sigma', 'is_kept', 'is_better'),
     [
-        (0.9, 1.1 * MORE_DRIFT, True, True),
-        (0.9, 0.9 * MORE_DRIFT, True, False),
-        (0.9, 1.1 * MORE_DRIFT, False, False),
-        (1.1, 1.0, False, True),
-        (0.9, 1.0, False, False),
+        (0.9, 2.1, True, True),
+        (0.9, 1.9, True, False),
+        (0.9, 2.1, False, False),
+        (1.1, 0.0, False, True),
+        (0.9, 0.0, False, False),
     ],
 )
-def test_a_law_with_which_the_robot_drifts_far_less_refutes_a_noise(
-    gain: float, more_drift: float, is_kept: bool, is_better: bool, monkeypatch: pytest.MonkeyPatch
+def test_a_law_with_which_the_robot_drifts_clearly_less_refutes_a_noise(
+    gain: float, drift_sigma: float, is_kept: bool, is_better: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A walk that no gyro has predicts the next image as well: coarse steps drove 5.4 deg in place of 0.1."""
     found, rival = Mock(predictive_gain=1e3), Mock(predictive_gain=gain * 1e3, is_kept=is_kept)
-    monkeypatch.setattr(noise, 'drift_of_both_deg', lambda before, after: (more_drift, 1.0))
+    monkeypatch.setattr(noise, 'drift_of_both', lambda before, after: (before, after))
+    monkeypatch.setattr(noise, 'better_sigma', lambda before, after: drift_sigma)
     assert noise._is_better(rival, found) == is_better
 
 
@@ -276,7 +281,8 @@ def test_a_jump_that_explains_most_refutes_a_noise(
     """It explains one moment with one number, where the noise follows all else that the bias does."""
     gain = factor * noise.JUMP_PART * 1e3
     jump = Mock(effect=step('bias'), predictive_gain=gain, is_kept=True)
-    monkeypatch.setattr(noise, 'drift_of_both_deg', lambda before, after: (1.0, 1.0))
+    monkeypatch.setattr(noise, 'drift_of_both', lambda before, after: (before, after))
+    monkeypatch.setattr(noise, 'better_sigma', lambda before, after: 0.0)
     assert noise._is_better(jump, Mock(predictive_gain=1e3)) == is_better
 
 

@@ -36,6 +36,9 @@ from gyrocal_ros.effects.traits import (
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
+MORE_DRIFT = 1.2
+"""Drift with a noise, relative to that without, from which it is more."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingEffect:
@@ -61,6 +64,11 @@ class MissingEffect:
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return coefficient_names(self.effect)
+
+    @property
+    def raises_drift(self) -> bool:
+        """True for a noise with which the robot drifts more: the filter follows what comes and goes."""
+        return is_noise(self.effect) and self.drift_after_deg > MORE_DRIFT * self.drift_before_deg
 
     @property
     def is_unusual_noise(self) -> bool:
@@ -166,6 +174,8 @@ def _conclude(
     uneven = None
     if not missing and turns_enough(last.run):
         uneven = uneven_sign(last.ranked, refuted, last.settings)
+    if uneven is not None:
+        not_judged.pop(uneven.effect.name, None)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     is_complete = verdict == 'nothing_missing'

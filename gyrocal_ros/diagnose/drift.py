@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.run import GroundTruth, Run
+from gyrocal_ros.ekf.run import GroundTruth, History, Run
 from gyrocal_ros.ekf.state import YAW, YAW_BIAS
 from gyrocal_ros.model.planar import planar_trajectory
 from gyrocal_ros.statistics import chi_square_quantile, trigamma
@@ -225,12 +225,28 @@ def blind_drift(
     gap_s = np.cumsum(history.gap_s)
     whole = gap_s[last] == gap_s[first]
     start_s, first, last = start_s[whole], first[whole], last[whole]
-    known = history.coefficients[first] if coefficients is None else coefficients
+    known, bias = history.coefficients[first], history.mean[first, YAW_BIAS]
+    if coefficients is not None:
+        bias = bias - np.sum(_rate_at_rest(history)[first] * (coefficients - known), axis=1)
+        known = np.broadcast_to(coefficients, known.shape)
     by_gyro = turned[last] - turned[first]
     by_gyro += np.sum((columns[last] - columns[first]) * known, axis=1)
-    by_gyro += history.mean[first, YAW_BIAS] * (gyro_valid_s[last] - gyro_valid_s[first])
+    by_gyro += bias * (gyro_valid_s[last] - gyro_valid_s[first])
     heading = np.interp(time_s, compared.time_s, compared.yaw_rad)
     return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)
+
+
+def _rate_at_rest(history: History) -> Array:
+    """Return the rate (s, k) that each coefficient gives per unit at the last rest before each step.
+
+    There bias and coefficients together are known: with other coefficients the bias is another one. Zero
+    before the first rest.
+    """
+    is_known = (history.resting != 0) & (history.gyro_valid_s > 0.0)
+    rates = history.columns / np.where(is_known, history.gyro_valid_s, np.inf)[:, None]
+    latest = np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), 0))
+    latest_rates: Array = rates[latest]
+    return latest_rates
 
 
 def held_out_from_s(run: Run) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 
 from gyrocal_ros.diagnose.additions import Addition, Search, addition
 from gyrocal_ros.diagnose.alternatives import best_alternative, searched_again
-from gyrocal_ros.diagnose.drift import drift_of_both_deg
+from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both, drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
 from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
@@ -44,8 +44,10 @@ RIVAL_PART = 0.85
 EFFECT_PART = 0.5
 """Part of the gain of a noise from which the best effect, significant or not, gets a run beside it."""
 MORE_DRIFT = 2.0
-"""Held-out drift with a noise, relative to that with effects or a law, from which it does not replace them: a
+"""Held-out drift with a noise, relative to that with effects, from which it does not take their place: a
 filter that follows the bias predicts the next image as well as the law behind it."""
+CLEARLY_LESS_SIGMA = 2.0
+"""Significance from which the drift with a law is less than that with a noise, whose place it then takes."""
 READ_PART = 0.2
 """Part of a white noise that the readings must show: a low-pass filter in the gyro may hide the rest."""
 WALK_PART = 0.6
@@ -212,14 +214,13 @@ def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, c
 
 
 def _is_better(rival: Addition, found: Addition) -> bool:
-    """Return True if a rival predicts better than a noise, or is kept and the robot drifts far less.
+    """Return True if a rival predicts better than a noise, or is kept and the robot drifts clearly less.
 
     A jump explains one moment with one number, where the noise follows whatever else there is.
     """
-    noise_deg, rival_deg = drift_of_both_deg(found.after.run, rival.after.run)
-    drifts_less = rival.is_kept and noise_deg > MORE_DRIFT * rival_deg
+    drifts_less = better_sigma(*drift_of_both(found.after.run, rival.after.run)) > CLEARLY_LESS_SIGMA
     part = JUMP_PART if isinstance(rival.effect, Step) else 1.0
-    return drifts_less or rival.predictive_gain >= part * found.predictive_gain
+    return (rival.is_kept and drifts_less) or rival.predictive_gain >= part * found.predictive_gain
 
 
 def _first_kept(

@@ -13,12 +13,15 @@ from gyrocal_ros.diagnose.additions import NONE, Addition
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.heading_filter import Headings, heading_log_likelihood
 from gyrocal_ros.effects import EFFECTS
-from gyrocal_ros.effects.traits import is_noise
+from gyrocal_ros.effects.traits import follows_signal, is_bias_walk, is_noise
 from gyrocal_ros.ekf.process_noise import YawNoise, yaw_noise_of
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.statistics import chi_square_tail, sigma_of
 
+MIN_GAIN_OVER_WALK = 10.0
+"""Log-likelihood of the headings that an effect which follows a recorded signal has to gain over a walk of
+the bias: many signals are recorded, and one that changes steadily looks like most walks."""
 STRIDES = (8, 4, 2, 1)
 """Distances between sizes of a scan that are tried, one after the other: the likelihood has one maximum."""
 
@@ -53,6 +56,17 @@ def with_noise(
     return Addition(
         noise.effect, present, after, noise.gain, sigma_of(p_value), p_value, np.array([noise.std]), NONE
     )
+
+
+def unless_a_walk_explains(added: Addition) -> Addition:
+    """Return an addition with an objection where a walk of the bias explains what a recorded signal does."""
+    if added.before is None or not follows_signal(added.effect):
+        return added
+    explained = heading_log_likelihood(added.after.seen) - heading_log_likelihood(added.before.seen)
+    walks = [item.gain for item in fit_noises(added.before) if is_bias_walk(item.effect)]
+    if explained > max(walks, default=-math.inf) + MIN_GAIN_OVER_WALK:
+        return added
+    return replace(added, objection='a bias that walks more than the settings say explains as much')
 
 
 def _fits(present: ExaminedModel) -> Iterator[NoiseFit]:

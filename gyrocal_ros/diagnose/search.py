@@ -26,6 +26,7 @@ from gyrocal_ros.diagnose.limit_runs import (
 )
 from gyrocal_ros.diagnose.limit_sizes import resized
 from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.noise_fit import unless_a_walk_explains
 from gyrocal_ros.diagnose.one_more import with_one_more
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import (
@@ -297,7 +298,7 @@ def _next_addition(
                 return limited
         elif gain >= settings.limit_alike_part * rival_gain:
             alike.append(effect.name)
-    return None if rival is None else replace(rival, alike=tuple(alike))
+    return None if rival is None else unless_a_walk_explains(replace(rival, alike=tuple(alike)))
 
 
 def _with_best(

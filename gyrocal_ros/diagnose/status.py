@@ -158,6 +158,8 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
         return Status('red', sentence, steps.learn)
     if diagnosis.verdict == 'noise' and diagnosis.unusual_noise:
         return Status('yellow', sentence, steps.learn)
+    if diagnosis.verdict == 'noise' and any(item.raises_drift for item in diagnosis.missing):
+        return Status('yellow', sentence, ADD_NOISE)
     if diagnosis.missing:
         return Status('yellow', sentence, _adding([item.effect for item in diagnosis.missing], steps))
     if diagnosis.limits:

@@ -60,7 +60,8 @@ def time_fault(errors: Array, sigma: float) -> str:
     """Return how far the stamps of images and gyro are apart, (1,) in s."""
     offset_ms = 1e3 * float(errors[0])
     late = 'the images are stamped late' if offset_ms > 0.0 else 'the gyro lags, or images are stamped early'
-    return f'{TIME} {abs(offset_ms):.1f} ms apart ({sigma:.0f} sigma): {late}; {ASK_WHICH}'
+    digits = 1 if abs(offset_ms) >= 0.1 else 2
+    return f'{TIME} {abs(offset_ms):.{digits}f} ms apart ({sigma:.0f} sigma): {late}; {ASK_WHICH}'
 
 
 @dataclass(frozen=True, slots=True)

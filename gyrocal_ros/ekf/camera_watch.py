@@ -154,7 +154,9 @@ class CameraWatch:
         self.time_offset_s += value
         if abs(self.time_offset_s - self._told_s) > max(TOLD_S, TOLD_PART * abs(self._told_s)):
             self._told_s = self.time_offset_s
-            self.allowed_for = time_fault(np.array([self.time_offset_s]), abs(value) / std)
+            is_told = abs(self.time_offset_s) > TOLD_S
+            fault = time_fault(np.array([self.time_offset_s]), abs(value) / std)
+            self.allowed_for = fault if is_told else ''
         before = self.sums
         self.sums = normal_equations(before.information, before.score - value * before.information[:, TIME])
         self._nis -= before.explained - self.sums.explained

@@ -22,7 +22,7 @@ from gyrocal_ros.cli.learn import requested
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, ImuSample, MotionBlock, WheelSample
-from gyrocal_ros.diagnose import learning, rewriting
+from gyrocal_ros.diagnose import learning, rewriting, status
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, curve_by
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
@@ -52,6 +52,7 @@ from gyrocal_ros.effects.learned.drives import driven, lag, since_turn
 from gyrocal_ros.effects.learned.forms import FORMS
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS
+from gyrocal_ros.effects.learned.step import step
 from gyrocal_ros.effects.learned.wave import Sine, Wave
 from gyrocal_ros.effects.registry import load_file
 from gyrocal_ros.ekf.run import Run
@@ -613,6 +614,23 @@ def test_a_drift_that_rises_by_chance_is_no_objection_where_the_final_one_falls(
         learning, 'blind_drift', lambda *about, coefficients: Mock(rms_deg=fitted[coefficients])
     )
     assert learning._drifts_more(before, after) == drifts_more
+
+
+@pytest.mark.parametrize(
+    ('law', 'holds'), [(wave('bias'), 'once'), (step('scale'), 'once'), (memory('bias', 'start'), '')]
+)
+def test_what_holds_for_one_recording_is_no_calibration_of_others(
+    law: Effect, holds: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    drifts = SimpleNamespace(rms_deg=1.0)
+    kept = [Mock(effect=None, held_out=drifts), Mock(effect=law, held_out=drifts)]
+    improved: Any = Mock(kept=kept, final=kept[1], harmful=(), fell_sigma=3.0)
+    improved.final.examined.unexplained_structure = None
+    monkeypatch.setattr(status, 'timing_fault', lambda examined: None)
+    monkeypatch.setattr(status, 'model_fit', lambda run: SimpleNamespace(fits=True))
+    said = status.improvement_status(improved)
+    assert ('holds for this recording only' in said.sentence) == bool(holds)
+    assert said.level == ('yellow' if holds else 'green')
 
 
 # --- the command --------------------------------------------------------------------------------

@@ -437,6 +437,7 @@ class TestSearch:
         diagnosed = diagnose(found, AT_REST)
         assert [item.effect.name for item in diagnosed.missing] == ['gyro_lag'] * is_kept
         assert diagnosed.uneven == ('' if is_kept else 'gyro_lag')
+        assert 'gyro_lag' not in diagnosed.not_judged
         assert diagnosed.verdict == ('effect_found' if is_kept else 'cannot_tell')
 
     def test_after_one_that_a_run_rejects_the_next_is_tried(self) -> None:

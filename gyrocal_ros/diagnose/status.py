@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
+from gyrocal_ros.effects.traits import holds_once
 from gyrocal_ros.ekf.camera_faults import camera_fault
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.sensor import Effect
@@ -47,6 +48,9 @@ LEARN = 'Run `gyrocal learn` on this recording: it learns what no effect of the 
 OWN = (
     'No law of one recorded signal explains it either: record more signals, or write what the sensor does '
     'as an effect of your own (docs/your_own_effect.md).'
+)
+WHAT_HAPPENED = (
+    'Find what swings or is switched at those times, and record it: then other recordings gain, too.'
 )
 TEST = 'Test the model on another recording.'
 LARGE_DRIFT_DEG = 1.0
@@ -263,6 +267,9 @@ def improvement_status(improved: Improvement) -> Status:
         return Status('red', f'{added}, and the model still does not fit.', next_step)
     if not names:
         return Status('green', f'{added}: no effect improves the prediction of the recording.')
+    once = [item.effect.name for item in improved.kept if item.effect is not None and holds_once(item.effect)]
+    if once:
+        return Status('yellow', f'{added}: {join(once)} holds for this recording only.', WHAT_HAPPENED)
     first, last = improved.kept[0].held_out, improved.final.held_out
     if len(improved.kept) == 1 or not math.isfinite(first.rms_deg) or not math.isfinite(last.rms_deg):
         return Status('green', f'{added}.')

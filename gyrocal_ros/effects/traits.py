@@ -36,6 +36,11 @@ def follows_signal(effect: Effect) -> bool:
     return bool(getattr(effect, 'signal', None))
 
 
+def holds_once(effect: Effect) -> bool:
+    """Return True for a law that holds for one recording only: another one begins at another time."""
+    return getattr(effect, 'holds_once', False)
+
+
 def followers_by_signal(model: SensorModel) -> dict[str, list[str]]:
     """Return the signals that effects of the model require, each with the names of these effects."""
     followers: dict[str, list[str]] = {}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearGyroEffect, column
@@ -17,6 +18,7 @@ TIME = 'time'
 class Step(LinearGyroEffect):
     """`step` from the moment `at_s` on; valid for one recording."""
 
+    holds_once: ClassVar[bool] = True
     name: str
     coefficients: tuple[Coefficient, ...]
     at_s: float = 0.0

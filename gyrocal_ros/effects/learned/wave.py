@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, Self
+from typing import ClassVar, Literal, Self
 
 import numpy as np
 
@@ -23,6 +23,7 @@ ORDERS = np.arange(1.0, 4.0)
 class _Swing(LinearGyroEffect):
     """What a wave and its closed form have in common."""
 
+    holds_once: ClassVar[bool] = True
     name: str
     coefficients: tuple[Coefficient, ...]
     period_s: float = 30.0

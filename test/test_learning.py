@@ -586,18 +586,21 @@ def test_a_jump_is_compared_at_its_best_moment(
 
 
 @pytest.mark.parametrize(
-    ('held_out_deg', 'sigma', 'fitted_deg', 'drifts_more'),
+    ('held_out_deg', 'sigma', 'fitted_deg', 'gain_sigma', 'drifts_more'),
     [
-        (0.9, 0.2, 1.0, False),
-        (1.1, -0.5, 0.6, False),
-        (1.1, -0.5, 0.8, True),
-        (3.0, -1.5, 0.2, True),
+        (0.9, 0.2, 1.0, 0.0, False),
+        (1.1, -0.5, 0.6, 3.9, False),
+        (1.1, -0.5, 0.8, 3.9, True),
+        (1.1, -0.5, 0.8, 4.1, False),
+        (1.1, -0.5, 1.1, 4.1, True),
+        (3.0, -1.5, 0.2, 4.1, True),
     ],
 )
 def test_a_drift_that_rises_by_chance_is_no_objection_where_the_final_one_falls(
     held_out_deg: float,
     sigma: float,
     fitted_deg: float,
+    gain_sigma: float,
     drifts_more: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -610,6 +613,8 @@ def test_a_drift_that_rises_by_chance_is_no_objection_where_the_final_one_falls(
     monkeypatch.setattr(learning, 'better_sigma', lambda *drifts: sigma)
     monkeypatch.setattr(learning, 'reference_heading', lambda run: None)
     monkeypatch.setattr(learning, 'held_out_from_s', lambda run: 0.0)
+    monkeypatch.setattr(learning, 'predictive_gain', lambda *runs: None)
+    monkeypatch.setattr(learning, 'vuong_sigma', lambda gain, most: gain_sigma)
     monkeypatch.setattr(
         learning, 'blind_drift', lambda *about, coefficients: Mock(rms_deg=fitted[coefficients])
     )

@@ -119,8 +119,9 @@ def test_noise_is_a_verdict_of_its_own() -> None:
     assert 'rate_noise' in diagnosis_status(found).sentence
     for after_deg, is_advised in ((0.9, True), (2.0, False)):
         noise = replace(found.missing[0], drift_before_deg=1.0, drift_after_deg=after_deg)
-        next_step = diagnosis_status(replace(found, missing=(noise,))).next_step
-        assert ('let `gyrocal improve` add it' in next_step) == is_advised != (next_step == ADD_NOISE)
+        status = diagnosis_status(replace(found, missing=(noise,)))
+        assert ('let `gyrocal improve` add it' in status.next_step) == is_advised
+        assert ('the robot drifts more with it' in status.sentence) != is_advised
 
 
 @pytest.mark.slow

@@ -131,11 +131,13 @@ def _drift_change(missing: MissingEffect) -> str:
 def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     """Yield the next steps, with the commands to copy."""
     steps = advice(diagnosis)
+    usual = [item for item in diagnosis.missing if not (item.is_unusual_noise or item.raises_drift)]
     is_judged = diagnosis.timing is None and not diagnosis.fit.mounting
-    if is_judged and (diagnosis.unexplained is not None or diagnosis.fit.misfits or diagnosis.unusual_noise):
+    if is_judged and (
+        diagnosis.unexplained is not None or diagnosis.fit.misfits or len(usual) < len(diagnosis.missing)
+    ):
         words = ['gyrocal', 'learn', *bag_arguments(args), *_model_arguments(args), '-o', 'learned']
         steps = [f'Learn what no effect of the library explains: {shlex.join(words)}', *steps]
-    usual = [item for item in diagnosis.missing if not item.is_unusual_noise]
     if usual:
         improve = shlex.join(
             ['gyrocal', 'improve', *bag_arguments(args), *_model_arguments(args), '-o', 'improved']

@@ -36,7 +36,7 @@ from gyrocal_ros.effects.traits import (
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
-MORE_DRIFT = 1.2
+MORE_DRIFT = 1.5
 """Drift with a noise, relative to that without, from which it is more."""
 
 
@@ -67,7 +67,7 @@ class MissingEffect:
 
     @property
     def raises_drift(self) -> bool:
-        """True for a noise with which the robot drifts more: the filter follows what comes and goes."""
+        """True for a noise with which the robot drifts more: with the right one it would drift less."""
         return is_noise(self.effect) and self.drift_after_deg > MORE_DRIFT * self.drift_before_deg
 
     @property
@@ -111,6 +111,11 @@ class Diagnosis:
     def unusual_noise(self) -> list[str]:
         """Names of missing noises that are far larger than those of any usual gyro."""
         return [item.effect.name for item in self.missing if item.is_unusual_noise]
+
+    @property
+    def harmful_noise(self) -> list[str]:
+        """Names of missing noises with which the robot drifts more."""
+        return [item.effect.name for item in self.missing if item.raises_drift]
 
 
 def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:

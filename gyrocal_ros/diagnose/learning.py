@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from gyrocal_ros.diagnose.additions import CHANCE_SIGMA, Addition, Search, addition
+from gyrocal_ros.diagnose.additions import CHANCE_SIGMA, CLEAR_SIGMA, Addition, Search, addition
 from gyrocal_ros.diagnose.drift import (
     better_sigma,
     blind_drift,
@@ -273,7 +273,8 @@ def _judged(added: Addition) -> Addition:
 def _drifts_more(before: Run, after: Run) -> bool:
     """Return True if the held-out drift rises, unless that may be chance and that of the final models falls.
 
-    The spans of a short recording begin while a law is hardly known yet.
+    The spans of a short recording begin while a law is hardly known yet. Where the gain is clear, it need not
+    fall by much.
     """
     earlier, later = drift_of_both(before, after)
     if not later.rms_deg > MAX_DRIFT * earlier.rms_deg:
@@ -284,4 +285,5 @@ def _drifts_more(before: Run, after: Run) -> bool:
         for run in (before, after)
     ]
     is_chance = better_sigma(earlier, later) > -CHANCE_SIGMA
-    return not (is_chance and fitted_deg[1] < FITTED_PART * fitted_deg[0])
+    is_clear = vuong_sigma(predictive_gain(before, after), PROOF) > CLEAR_SIGMA
+    return not (is_chance and fitted_deg[1] < (1.0 if is_clear else FITTED_PART) * fitted_deg[0])

@@ -160,10 +160,8 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
         return Status('yellow', sentence, REPEAT) if diagnosis.fails_where else Status('green', sentence)
     if not diagnosis.is_open and (diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False):
         return Status('red', sentence, steps.learn)
-    if diagnosis.verdict == 'noise' and diagnosis.unusual_noise:
+    if diagnosis.verdict == 'noise' and (diagnosis.unusual_noise or diagnosis.harmful_noise):
         return Status('yellow', sentence, steps.learn)
-    if diagnosis.verdict == 'noise' and any(item.raises_drift for item in diagnosis.missing):
-        return Status('yellow', sentence, ADD_NOISE)
     if diagnosis.missing:
         return Status('yellow', sentence, _adding([item.effect for item in diagnosis.missing], steps))
     if diagnosis.limits:
@@ -202,6 +200,11 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
         return (
             f'The gyro seems noisier than any usual one ({join(unusual)}): a loose contact, or a law that '
             'nothing recorded shows.'
+        )
+    if diagnosis.verdict == 'noise' and (harmful := diagnosis.harmful_noise):
+        return (
+            f'It looks like noise ({join(harmful)}), but the robot drifts more with it: a loose contact, or '
+            'a law that nothing recorded shows.'
         )
     if diagnosis.verdict == 'noise':
         return f'Only noise: the gyro is noisier than the settings say ({join([*missing])}); no law is left.'

@@ -166,8 +166,6 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
         return Status('yellow', sentence, _adding([item.effect for item in diagnosis.missing], steps))
     if diagnosis.limits:
         return Status('yellow', sentence, steps.add_limit)
-    if diagnosis.uneven:
-        return Status('yellow', sentence, steps.learn)
     return Status('yellow', sentence, RECORD)
 
 

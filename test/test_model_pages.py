@@ -372,7 +372,9 @@ class TestPages:
 
     @pytest.mark.slow
     def test_improvement(self, improved: Improvement) -> None:
-        rejected = replace(improved.final, label='2_gyro_lag', is_kept=False, effect=find_effect('gyro_lag'))
+        rejected = replace(
+            improved.final, label='2_gyro_lag', fate='left out', effect=find_effect('gyro_lag')
+        )
         tried = replace(improved, revisions=(*improved.revisions, rejected))
         page = improvement_page(tried)
         check_page(page, ['drift', 'heading', 'drift_by_span', 'coefficients', 'over_time'])

@@ -34,9 +34,8 @@ class Revision:
     effect: Effect | None
     """Effect added to the revision that it builds on; None for the first model, and where one was removed."""
     examined: ExaminedModel
-    is_kept: bool
     fate: str
-    """`kept`, `left out`, `removed again` or `rewritten`: in closed form, as another revision."""
+    """`kept`, `left out`, `removed again`, or `rewritten`: in closed form, as another revision."""
     held_out: BlindDrift
     """Held-out blind drift: each span starts with what was known by then."""
     fitted: BlindDrift
@@ -49,6 +48,11 @@ class Revision:
     """Significance of the decrease of the held-out drift; NaN where unknown."""
     why: str
     """Sentence that says why it was kept or not."""
+
+    @property
+    def is_kept(self) -> bool:
+        """True if it is part of the final model."""
+        return self.fate == 'kept'
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,7 +130,6 @@ def first_revision(examined: ExaminedModel, reference: tuple[Heading, str]) -> R
         label=revision_label(0, examined.model.name),
         effect=None,
         examined=examined,
-        is_kept=True,
         fate='kept',
         held_out=held_out,
         fitted=fitted,
@@ -168,7 +171,6 @@ def revision(
         label=label,
         effect=added.effect,
         examined=added.after,
-        is_kept=is_kept,
         fate=fate,
         held_out=held_out,
         fitted=fitted,
@@ -191,7 +193,6 @@ def _removing(removal: Removal, number: int, reference: tuple[Heading, str]) -> 
         label=revision_label(number, f'without_{name}'),
         effect=None,
         examined=removal.after,
-        is_kept=True,
         fate='kept',
         held_out=held_out,
         fitted=fitted,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import ClassVar
 from unittest.mock import Mock
 
@@ -14,8 +15,8 @@ from synthetic import readings, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock, Source
-from gyrocal_ros.diagnose import noise
-from gyrocal_ros.diagnose.additions import Addition, Search, addition
+from gyrocal_ros.diagnose import noise, noise_fit
+from gyrocal_ros.diagnose.additions import NONE, Addition, Search, addition
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import drift_of_both_deg
 from gyrocal_ros.diagnose.elimination import eliminate, without_harm
@@ -285,6 +286,28 @@ def test_a_jump_that_explains_most_refutes_a_noise(
     monkeypatch.setattr(noise, 'drift_of_both', lambda before, after: (before, after))
     monkeypatch.setattr(noise, 'better_sigma', lambda before, after: 0.0)
     assert noise._is_better(jump, Mock(predictive_gain=1e3)) == is_better
+
+
+@pytest.mark.parametrize(
+    ('name', 'explained', 'by_walk', 'objects'),
+    [
+        ('covariate_bias:battery_state.voltage', 23.0, 17.0, True),
+        ('covariate_bias:battery_state.voltage', 28.0, 17.0, False),
+        ('covariate_bias:battery_state.voltage', 5.0, 0.0, False),
+        ('bias_temperature', 23.0, 17.0, False),
+    ],
+)
+def test_a_signal_has_to_explain_more_than_a_walk_of_the_bias(
+    name: str, explained: float, by_walk: float, objects: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A battery runs down as steadily as most walks go."""
+    walk = NoiseFit(find_effect('bias_instability'), by_walk, 0.0)
+    rates = NoiseFit(find_effect('rate_noise'), 1e3, 0.0)
+    monkeypatch.setattr(noise_fit, 'fit_noises', lambda present: [rates, walk])
+    monkeypatch.setattr(noise_fit, 'heading_log_likelihood', lambda seen: seen)
+    before, after = SimpleNamespace(seen=100.0), SimpleNamespace(seen=100.0 + explained)
+    added = Addition(find_effect(name), before, after, 0.0, 0.0, 1.0, np.zeros(1), NONE)  # type: ignore[arg-type]
+    assert bool(noise_fit.unless_a_walk_explains(added).objection) == objects
 
 
 def test_a_few_readings_refute_no_noise() -> None:

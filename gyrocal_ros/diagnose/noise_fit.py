@@ -21,7 +21,8 @@ from gyrocal_ros.statistics import chi_square_tail, sigma_of
 
 MIN_GAIN_OVER_WALK = 10.0
 """Log-likelihood of the headings that an effect which follows a recorded signal has to gain over a walk of
-the bias: many signals are recorded, and one that changes steadily looks like most walks."""
+the bias, and the least of a walk that counts: many signals are recorded, and one that changes steadily looks
+like most walks."""
 STRIDES = (8, 4, 2, 1)
 """Distances between sizes of a scan that are tried, one after the other: the likelihood has one maximum."""
 
@@ -64,7 +65,8 @@ def unless_a_walk_explains(added: Addition) -> Addition:
         return added
     explained = heading_log_likelihood(added.after.seen) - heading_log_likelihood(added.before.seen)
     walks = [item.gain for item in fit_noises(added.before) if is_bias_walk(item.effect)]
-    if explained > max(walks, default=-math.inf) + MIN_GAIN_OVER_WALK:
+    by_walk = max(walks, default=0.0)
+    if by_walk < MIN_GAIN_OVER_WALK or explained > by_walk + MIN_GAIN_OVER_WALK:
         return added
     return replace(added, objection='a bias that walks more than the settings say explains as much')
 

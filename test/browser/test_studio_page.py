@@ -103,7 +103,7 @@ def open_with_effect(page: Page, studio: Studio, *, present: bool) -> None:
         expect(row).to_contain_text('present')
     if not present:
         page.locator('#undo').click()
-        expect(row).to_contain_text('left out')
+        expect(row).to_contain_text('removed again')
 
 
 def drift_deg(page: Page, label: str) -> float:
@@ -276,7 +276,7 @@ def test_all_parts_of_the_page(page: Page, studio: Studio) -> None:
 
     # undo, and adding it again
     page.locator('#undo').click()
-    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
+    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('removed again')
     expect(page.locator('#undo')).to_be_disabled()
     expect(page.locator('#add')).to_have_text(f'Add {HIDDEN}')
     page.locator('#add').click()
@@ -362,7 +362,7 @@ def test_an_unknown_law_is_learned_shown_added_and_removed(
     assert not barriers(page)
     screenshot(page, 'validated', '#history')
     page.locator('#undo').click()
-    expect(page.locator('#revisions tr', has_text='1_bias_curve_heading')).to_contain_text('left out')
+    expect(page.locator('#revisions tr', has_text='1_bias_curve_heading')).to_contain_text('removed again')
     page.close()
     studio.end()
 
@@ -413,7 +413,7 @@ def test_second_tabs_and_reloads_show_the_same_session(browser: Browser, page: P
     second.goto(studio.address)
     expect(second.locator('#revisions')).to_contain_text(f'1_{HIDDEN}')
     second.locator('#undo').click()
-    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
+    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('removed again')
     page.reload()
     expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
     screenshot(second, 'tablet_dark', '#missing')
@@ -462,6 +462,6 @@ def test_a_killed_studio_is_reported_and_a_new_one_continues_its_session(
     again = Studio(uneven_bag, out=tmp_path)
     page.goto(again.address)
     expect(page.locator('#revisions tr', has_text='0_default')).to_contain_text('present')
-    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('left out')
+    expect(page.locator('#revisions tr', has_text=f'1_{HIDDEN}')).to_contain_text('removed again')
     page.close()
     again.end()

@@ -51,8 +51,8 @@ class Addition:
     alike: tuple[str, ...] = ()
     """Limits with which a run predicts the recording nearly as well; no score statistics tell of them."""
     objection: str = ''
-    """Clause that says why a run does not confirm it, for a learned effect or one that shows at few moments;
-    empty if it does."""
+    """Clause that says why a run does not confirm it, for a learned effect, one that shows at few moments, or
+    one that follows a recorded signal; empty if it does."""
     is_shown: bool = False
     """True for a noise that the readings themselves show."""
     is_rewritten: bool = False

@@ -39,14 +39,14 @@ def samples(rates: Array) -> list[ImuSample]:
 def passed(rates: Array) -> tuple[FaultyGyro, list[int]]:
     """Return the judge, and the numbers of the readings that it has passed, in their order."""
     faulty = FaultyGyro()
-    sound = [out.t_ns // PERIOD_NS for sample in samples(rates) for out in faulty.sound(sample)]
+    sound = [out.t_ns // PERIOD_NS for sample in samples(rates) for out in faulty.sound([sample])]
     return faulty, sound
 
 
 def test_all_readings_of_a_sound_gyro_pass_at_once() -> None:
     faulty = FaultyGyro()
     for sample in samples(turning()):
-        assert list(faulty.sound(sample)) == [sample]
+        assert faulty.sound([sample]) == [sample]
     assert faulty.news() == ''
 
 
@@ -114,8 +114,8 @@ def test_a_coarse_gyro_may_repeat_itself() -> None:
 
 def test_a_reading_that_is_not_newer_is_ignored() -> None:
     faulty, (first, second, *_) = FaultyGyro(), samples(turning())
-    assert list(faulty.sound(second)) == [second]
-    assert list(faulty.sound(first)) == [] and list(faulty.sound(second)) == []
+    assert faulty.sound([second]) == [second]
+    assert faulty.sound([first, second]) == []
 
 
 def speeds(values_m_s: list[float]) -> tuple[FaultyWheels, list[float]]:
@@ -123,7 +123,7 @@ def speeds(values_m_s: list[float]) -> tuple[FaultyWheels, list[float]]:
     faulty = FaultyWheels()
     sound: list[WheelSample] = []
     for i, speed_m_s in enumerate(values_m_s):
-        sound += faulty.sound(WheelSample(5 * i * PERIOD_NS, speed_m_s, 0.1))
+        sound += faulty.sound([WheelSample(5 * i * PERIOD_NS, speed_m_s, 0.1)])
     return faulty, [sample.speed_m_s for sample in sound]
 
 

@@ -20,6 +20,7 @@ from gyrocal_ros import kernels
 from gyrocal_ros.data import (
     Array,
     CameraIntrinsics,
+    ImuSample,
     Mount,
     WheelSample,
     changed,
@@ -27,6 +28,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
 from gyrocal_ros.ekf.effects_by_place import MotionContribution
+from gyrocal_ros.ekf.motion import PAUSE_NS
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.process_noise import BlockNoise
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
@@ -36,6 +38,7 @@ from gyrocal_ros.ekf.state import State, no_landmarks
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.model.faulty_readings import MIN_READINGS, UsualReadings
 from gyrocal_ros.model.features.base import Anchors, Prediction, posed_camera
 from gyrocal_ros.model.gyro import Correction
 from gyrocal_ros.model.rotation import rotation_from_euler
@@ -114,11 +117,38 @@ def low_pass(rng: np.random.Generator, count: int) -> Arguments:
     return rng.normal(size=(count, 3)), rng.uniform(0.0, 1.0, (count, 3)), rng.normal(size=3)
 
 
+def imu_samples(rng: np.random.Generator, count: int) -> list[ImuSample]:
+    """Return samples, one of them after a pause."""
+    gaps_ns = rng.integers(1, 10**7, count)
+    gaps_ns[rng.integers(count)] += 2 * PAUSE_NS * rng.integers(2)
+    times_ns = (10**18 + gaps_ns.cumsum()).tolist()
+    rows = [tuple(row) for row in rng.normal(size=(count, 6)).tolist()]
+    return [ImuSample(t_ns, row[:3], row[3:]) for t_ns, row in zip(times_ns, rows, strict=True)]
+
+
 def intervals(rng: np.random.Generator, count: int) -> Arguments:
-    times_ns = (10**18 + rng.integers(1, 10**7, count + 1).cumsum()).tolist()
-    nodes = [tuple(row) for row in rng.normal(size=(count + 1, 6)).tolist()]
+    samples = imu_samples(rng, count + 1)
+    times_ns = [sample.t_ns for sample in samples]
+    low, high = times_ns[0] - 10**6, times_ns[-1] + 10**6
+    start_ns, end_ns = sorted(rng.choice([*times_ns, *rng.integers(low, high, 4).tolist()], 2, replace=False))
     _, _, wheels_ns, travelled_m = interpolate(rng, count)
-    return times_ns, nodes, wheels_ns, travelled_m, travelled_m[::-1]
+    return times_ns, samples, int(start_ns), int(end_ns), wheels_ns, travelled_m, travelled_m[::-1]
+
+
+def pass_usual(rng: np.random.Generator, count: int) -> Arguments:
+    """Return arguments of `pass_usual`: among the readings may be a jump, a repeated and an older one."""
+    samples = imu_samples(rng, 20 * count)
+    rates = rng.normal(0.0, 0.02, (len(samples), 3)).cumsum(axis=0)
+    faults = rng.integers(len(samples), size=3)
+    rates[faults[0]] += rng.choice([0.0, 3.0])
+    if rng.integers(2):
+        rates[faults[1]] = rates[faults[1] - 1]
+    samples = [replace(it, rate_rad_s=tuple(rate)) for it, rate in zip(samples, rates.tolist(), strict=True)]
+    if rng.integers(2):
+        samples[faults[2]] = replace(samples[faults[2]], t_ns=samples[0].t_ns)
+    seen = int(rng.choice([1, MIN_READINGS, 3 * MIN_READINGS]))
+    usual = UsualReadings(samples[0], seen, int(rng.integers(8)), 0.02, float(rng.uniform(0.05, 1.0)))
+    return (UsualReadings() if rng.integers(4) == 0 else usual), samples[1:], int(rng.integers(3))
 
 
 def interpolate(rng: np.random.Generator, count: int) -> Arguments:
@@ -461,6 +491,7 @@ MAKERS: tuple[Maker, ...] = (
     matches_counted,
     mean_at_end,
     motion_in_image,
+    pass_usual,
     path_in_block,
     pixels_by_delay,
     pixels_by_radial_coefficients,

@@ -185,7 +185,7 @@ def _wheel_handler(scan: BagScan) -> BlockHandler:
     def handle(stamps_ns: IntArray, numbers: Array) -> None:
         turns.add(stamps_ns, numbers[:, 1])
         for t_ns, motion in zip(stamps_ns.tolist(), numbers.tolist(), strict=True):
-            scan.wheels.sound(WheelSample(t_ns, *motion))
+            scan.wheels.sound([WheelSample(t_ns, *motion)])
 
     return handle
 

@@ -235,8 +235,9 @@ class ImuStats:
             turns.add(stamps_ns, axis_rates)
         steps = np.diff(rates, axis=0)  # without a jump or a repetition no reading of the block is faulty
         if (np.abs(steps[:, 2]) > MIN_JUMP_RAD_S).any() or not steps.any(axis=1).all():
-            for t_ns, rate_rad_s in zip(stamps_ns.tolist(), rates.tolist(), strict=True):
-                self.faulty.sound(ImuSample(t_ns, tuple(rate_rad_s), (0.0, 0.0, 0.0)))
+            at_rest = (0.0, 0.0, 0.0)
+            samples = zip(stamps_ns.tolist(), rates.tolist(), strict=True)
+            self.faulty.sound([ImuSample(t_ns, tuple(rate), at_rest) for t_ns, rate in samples])
 
     def turning_axis(self, other: TurnStats) -> str:
         """Return the horizontal axis, with its sign, that turns as another sensor; empty if none does."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right
 from itertools import pairwise
+from operator import sub
 from typing import Any
 
 import numpy as np
@@ -63,8 +64,46 @@ class _Signal:
         return interpolate(t_ns, offsets_ns, self.t_ns, self.values)
 
     def forget_before(self, t_ns: int) -> None:
-        first = max(bisect_right(self.t_ns, t_ns) - 1, 0)
-        del self.t_ns[:first], self.values[:first]
+        if first := max(bisect_right(self.t_ns, t_ns) - 1, 0):
+            del self.t_ns[:first], self.values[:first]
+
+
+class _Odometer:
+    """The way and the turn by the wheels: the readings that the next block may require."""
+
+    def __init__(self) -> None:
+        self.t_ns: list[int] = []
+        self.travelled_m: list[float] = []
+        self.turned_rad: list[float] = []
+        self._moves: list[bool] = []
+
+    def extend(self, samples: list[WheelSample]) -> None:
+        for sample in samples:
+            way_m = turn_rad = 0.0
+            if self.t_ns:
+                interval_s = seconds(sample.t_ns - self.t_ns[-1])
+                way_m = self.travelled_m[-1] + sample.speed_m_s * interval_s
+                turn_rad = self.turned_rad[-1] + sample.yaw_rate_rad_s * interval_s
+            self.t_ns.append(sample.t_ns)
+            self.travelled_m.append(way_m)
+            self.turned_rad.append(turn_rad)
+            self._moves.append(bool(sample.speed_m_s or sample.yaw_rate_rad_s))
+
+    def is_at_rest(self, start_ns: int, end_ns: int) -> bool:
+        """Return True if every interval between readings that overlaps a block is without motion."""
+        if not self.t_ns or self.t_ns[-1] < end_ns:
+            return False
+        first, last = bisect_right(self.t_ns, start_ns), bisect_left(self.t_ns, end_ns)
+        return True not in self._moves[first : last + 1]
+
+    def gap_s(self, start_ns: int, end_ns: int) -> float:
+        """Return the time of a block after the last reading."""
+        last_ns = max(start_ns, self.t_ns[-1]) if self.t_ns else start_ns
+        return seconds(max(end_ns - last_ns, 0))
+
+    def forget_before(self, t_ns: int) -> None:
+        if first := max(bisect_right(self.t_ns, t_ns) - 1, 0):
+            del self.t_ns[:first], self.travelled_m[:first], self.turned_rad[:first], self._moves[:first]
 
 
 class MotionBuffer:
@@ -75,70 +114,81 @@ class MotionBuffer:
     """
 
     def __init__(self, running_s: float = 0.0) -> None:
-        self.start_ns: int | None = None
         self.faulty_gyro, self._faulty_wheels = FaultyGyro(), FaultyWheels()
         self._running_s = running_s
+        self._start_ns: int | None = None
+        self._new_imu: list[ImuSample] = []
+        self._new_wheels: list[WheelSample] = []
+        self._newest_wheels_ns: int | None = None
         self._imu_ns: list[int] = []
         self._usual_interval_ns = float(GAP_NS)
-        self._imu: list[tuple[float, ...]] = []
+        self._imu: list[ImuSample] = []
         self._vibration_m2_s4: float | None = None
         self._lead_rad = 0.0
-        self._travelled = _Signal()
-        self._turned = _Signal()
-        self._speeds: list[tuple[float, float]] = []
+        self._odometer = _Odometer()
         self._temperature = _Signal()
         self._covariates: dict[str, _Signal] = {}
 
     def add(self, sample: ImuSample | WheelSample | TemperatureSample | CovariateSample) -> None:
         """Add one sample; a sample that is not newer than the last of its kind is ignored."""
         if isinstance(sample, ImuSample):
-            for sound in self.faulty_gyro.sound(sample):
-                self._add_imu(sound)
+            self._new_imu.append(sample)
         elif isinstance(sample, WheelSample):
-            for moved in self._faulty_wheels.sound(sample):
-                self._add_wheels(moved)
+            self._new_wheels.append(sample)
+            self._newest_wheels_ns = max(sample.t_ns, self._newest_wheels_ns or sample.t_ns)
         elif isinstance(sample, TemperatureSample):
             self._temperature.append(sample.t_ns, sample.temperature_c)
         else:
             self._covariates.setdefault(sample.name, _Signal()).append(sample.t_ns, sample.value)
 
-    def _add_imu(self, sample: ImuSample) -> None:
-        if self.start_ns is None:
-            self.start_ns = sample.t_ns
-        if self._imu_ns:
-            # Fast decrease and slow increase: right even while most samples are lost.
-            longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_interval_ns
-            self._usual_interval_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
-        self._imu_ns.append(sample.t_ns)
-        self._imu.append((*sample.rate_rad_s, *sample.specific_force_m_s2))
+    def _take_up(self) -> None:
+        """Take up the samples added since the last call; together they take less time than one by one."""
+        if self._new_wheels:
+            self._odometer.extend(self._faulty_wheels.sound(self._new_wheels))
+            self._new_wheels = []
+        if not self._new_imu:
+            return
+        sound, self._new_imu = self.faulty_gyro.sound(self._new_imu), []
+        for sample in sound:
+            if self._imu:
+                # Fast decrease and slow increase: right even while most samples are lost.
+                longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_interval_ns
+                self._usual_interval_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
+            elif self._start_ns is None:
+                self._start_ns = sample.t_ns
+            self._imu_ns.append(sample.t_ns)
+            self._imu.append(sample)
 
-    def _add_wheels(self, sample: WheelSample) -> None:
-        travelled, turned = self._travelled, self._turned
-        if not travelled.t_ns:
-            travelled.append(sample.t_ns, 0.0)
-            turned.append(sample.t_ns, 0.0)
-        else:
-            interval_s = seconds(sample.t_ns - travelled.t_ns[-1])
-            travelled.append(sample.t_ns, travelled.values[-1] + sample.speed_m_s * interval_s)
-            turned.append(sample.t_ns, turned.values[-1] + sample.yaw_rate_rad_s * interval_s)
-        self._speeds.append((sample.speed_m_s, sample.yaw_rate_rad_s))
+    @property
+    def start_ns(self) -> int | None:
+        """Time of the very first IMU sample; None before."""
+        self._take_up()
+        return self._start_ns
 
     def running_s(self, t_ns: int) -> float:
         """Return the time for which the gyro has been running, from the very first IMU sample on."""
-        return self._running_s + (seconds(t_ns - self.start_ns) if self.start_ns is not None else 0.0)
+        start_ns = self.start_ns
+        return self._running_s + (seconds(t_ns - start_ns) if start_ns is not None else 0.0)
 
     def covered_until_ns(self) -> int | None:
         """Return the time up to which a block can be cut now; None before the first IMU sample."""
+        self._take_up()
         if not self._imu_ns:
             return None
-        imu_ns = self._imu_ns[-1]
-        if not self._travelled.t_ns:
-            return imu_ns
-        wheels_ns = self._travelled.t_ns[-1]
-        return min(imu_ns, max(wheels_ns, imu_ns - WHEEL_TIMEOUT_NS))
+        return self._covered_ns(self._imu_ns[-1], self._odometer.t_ns[-1] if self._odometer.t_ns else None)
+
+    def may_cover(self, t_ns: int) -> bool:
+        """Return True if the newest samples reach a time; they cover it unless they are faulty."""
+        newest_ns = self._new_imu[-1].t_ns if self._new_imu else self._imu_ns[-1] if self._imu_ns else None
+        return newest_ns is not None and self._covered_ns(newest_ns, self._newest_wheels_ns) >= t_ns
+
+    @staticmethod
+    def _covered_ns(imu_ns: int, wheels_ns: int | None) -> int:
+        return imu_ns if wheels_ns is None else min(imu_ns, max(wheels_ns, imu_ns - WHEEL_TIMEOUT_NS))
 
     def pause_end_ns(self, t_ns: int) -> int | None:
         """Return the next IMU sample, if it follows on a pause that includes a time; None without a pause."""
+        self._take_up()
         after = bisect_right(self._imu_ns, t_ns)
         if not 0 < after < len(self._imu_ns):
             return None
@@ -157,14 +207,12 @@ class MotionBuffer:
     def look(self, start_ns: int, end_ns: int) -> MotionBlock:
         """Return the block from `start_ns` to `end_ns` without dropping samples."""
         assert self.start_ns is not None and end_ns > start_ns
-        first, last = bisect_right(self._imu_ns, start_ns), bisect_left(self._imu_ns, end_ns)
-        nodes = [self._imu_at(start_ns), *self._imu[first:last], self._imu_at(end_ns)]
-        times_ns = [start_ns, *self._imu_ns[first:last], end_ns]
+        wheels, duration_s = self._odometer, seconds(end_ns - start_ns)
         middle_ns, dt_s, rate_rad_s, acceleration_rad_s2, force_m_s2, scatter_m2_s4, *by_wheels = intervals(
-            times_ns, nodes, self._travelled.t_ns, self._travelled.values, self._turned.values
+            self._imu_ns, self._imu, start_ns, end_ns, wheels.t_ns, wheels.travelled_m, wheels.turned_rad
         )
         distance_m, wheel_turn_rad = by_wheels
-        rate_rad_s[:, 2] -= (self._lead_at(end_ns) - self._lead_rad) / seconds(end_ns - start_ns)
+        rate_rad_s[:, 2] -= (self._lead_at(end_ns) - self._lead_rad) / duration_s
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
         covariates[SPEED_SIGNAL] = distance_m / dt_s
         return MotionBlock(
@@ -175,7 +223,7 @@ class MotionBuffer:
             rate_rad_s=rate_rad_s,
             yaw_acceleration_rad_s2=acceleration_rad_s2,
             specific_force_m_s2=force_m_s2,
-            vibration_m2_s4=constant(self._vibration(scatter_m2_s4, seconds(end_ns - start_ns)), len(dt_s)),
+            vibration_m2_s4=constant(self._vibration(scatter_m2_s4, duration_s), len(dt_s)),
             distance_m=distance_m,
             wheel_turn_rad=wheel_turn_rad,
             temperature_c=(
@@ -185,23 +233,9 @@ class MotionBuffer:
             ),
             covariates=covariates,
             gap_s=self._gap_s(start_ns, end_ns),
-            wheel_gap_s=self._wheel_gap_s(start_ns, end_ns),
-            wheels_at_rest=self._wheels_at_rest(start_ns, end_ns),
+            wheel_gap_s=wheels.gap_s(start_ns, end_ns),
+            wheels_at_rest=wheels.is_at_rest(start_ns, end_ns),
         )
-
-    def _imu_at(self, t_ns: int) -> tuple[float, ...]:
-        """Return rates and specific force at a time, interpolated linearly; without turning in a pause."""
-        after = bisect_left(self._imu_ns, t_ns)
-        if after == len(self._imu_ns):
-            return self._imu[-1]
-        if after == 0 or self._imu_ns[after] == t_ns:
-            return self._imu[after]
-        earlier_ns, later_ns = self._imu_ns[after - 1], self._imu_ns[after]
-        if later_ns - earlier_ns > PAUSE_NS:
-            return 0.0, 0.0, 0.0, *self._imu[after - 1][3:]
-        part = (t_ns - earlier_ns) / (later_ns - earlier_ns)
-        before = self._imu[after - 1]
-        return tuple([a + part * (b - a) for a, b in zip(before, self._imu[after], strict=True)])
 
     def _lead_at(self, t_ns: int) -> float:
         """Return the turn by which interpolated rates lead at a time, see `LEAD_PART`; zero in a gap.
@@ -212,8 +246,9 @@ class MotionBuffer:
         interval_ns = self._imu_ns[after] - self._imu_ns[after - 1] if after else 0
         if not 0 < interval_ns <= GAP_NS:
             return 0.0
-        acceleration = (self._imu[after][2] - self._imu[after - 1][2]) / seconds(interval_ns)
-        return LEAD_PART * (min(interval_ns, self._usual_interval_ns) / NS_PER_S) ** 2 * acceleration
+        change_rad_s = self._imu[after].rate_rad_s[2] - self._imu[after - 1].rate_rad_s[2]
+        interval_s = min(interval_ns, self._usual_interval_ns) / NS_PER_S
+        return LEAD_PART * interval_s**2 * change_rad_s / seconds(interval_ns)
 
     def _vibration(self, scatter_m2_s4: float, duration_s: float) -> float:
         """Return the vibration after a block whose samples scatter by this: with exponential forgetting."""
@@ -232,9 +267,11 @@ class MotionBuffer:
         first, last = bisect_right(self._imu_ns, start_ns) - 1, bisect_left(self._imu_ns, end_ns)
         around = self._imu_ns[max(first, 0) : last + 1]
         least_ns = max(DROPOUT_INTERVALS * self._usual_interval_ns, MIN_DROPOUT_NS)
-        long = [(a, b) for a, b in pairwise(around) if b - a > min(least_ns, GAP_NS)]
-        if not long and around[0] <= start_ns and around[-1] >= end_ns:
+        long_ns = min(least_ns, GAP_NS)
+        has_ends = around[0] <= start_ns and around[-1] >= end_ns
+        if has_ends and max(map(sub, around[1:], around), default=0) <= long_ns:
             return 0.0
+        long = [(a, b) for a, b in pairwise(around) if b - a > long_ns]
         wide = [(a, b) for a, b in long if b - a > GAP_NS]
         unknown = [(start_ns, around[0]), *wide, (around[-1], end_ns)]
         gap_s = seconds(sum(max(min(b, end_ns) - max(a, start_ns), 0) for a, b in unknown))
@@ -244,28 +281,12 @@ class MotionBuffer:
         )
         return gap_s + sum(max(part_s, 0.0) for part_s in weighted_s)
 
-    def _wheel_gap_s(self, start_ns: int, end_ns: int) -> float:
-        track = self._travelled.t_ns
-        if not track:
-            return seconds(end_ns - start_ns)
-        return seconds(max(end_ns - max(start_ns, track[-1]), 0))
-
-    def _wheels_at_rest(self, start_ns: int, end_ns: int) -> bool:
-        """Return True if every encoder interval that overlaps the block is without motion."""
-        track = self._travelled.t_ns
-        if not track or track[-1] < end_ns:
-            return False
-        first, last = bisect_right(track, start_ns), bisect_left(track, end_ns)
-        return not any(speed or yaw_rate for speed, yaw_rate in self._speeds[first : last + 1])
-
     def forget_before(self, t_ns: int) -> None:
         """Drop the samples that no block from a time on requires."""
-        first = max(bisect_right(self._imu_ns, t_ns) - 1, 0)
-        del self._imu_ns[:first], self._imu[:first]
-        kept = len(self._travelled.t_ns)
-        self._travelled.forget_before(t_ns)
-        self._turned.forget_before(t_ns)
-        del self._speeds[: kept - len(self._travelled.t_ns)]
+        self._take_up()
+        if first := max(bisect_right(self._imu_ns, t_ns) - 1, 0):
+            del self._imu_ns[:first], self._imu[:first]
+        self._odometer.forget_before(t_ns)
         self._temperature.forget_before(t_ns)
         for signal in self._covariates.values():
             signal.forget_before(t_ns)
@@ -273,29 +294,35 @@ class MotionBuffer:
 
 @compiled
 def intervals(
-    times_ns: list[int],
-    nodes: list[tuple[float, ...]],
+    imu_ns: list[int],
+    imu: list[ImuSample],
+    start_ns: int,
+    end_ns: int,
     wheels_ns: list[int],
     travelled_m: list[float],
     turned_rad: list[float],
 ) -> tuple[Any, ...]:
-    """Return the columns of the N intervals between samples.
+    """Return the columns of the N intervals between samples of a block.
 
     Args:
-        times_ns: N + 1 times: start of the block, of the samples inside, end of the block.
-        nodes: N + 1 times rates about x, y, z and specific forces along them.
+        imu_ns: times of the IMU samples.
+        imu: the samples.
+        start_ns: start of the block.
+        end_ns: its end.
         wheels_ns: times of the wheel encoders.
         travelled_m: way by the wheels until then.
         turned_rad: turn by the wheels until then.
 
     Returns:
-        (N,) middles of the intervals in ns since the first time, (N,) their lengths in s, (N, 3) mean rates,
-        (N,) yaw accelerations, (N, 3) mean specific forces, half the mean square of the differences of the
+        (N,) middles of the intervals in ns since the start, (N,) their lengths in s, (N, 3) mean rates, (N,)
+        yaw accelerations, (N, 3) mean specific forces, half the mean square of the differences of the
         specific force between successive samples, NaN with fewer than two, and (N,) ways and (N,) turns by
         the wheels, zero with fewer than two of their samples.
     """
-    offsets_ns = np.array([t - times_ns[0] for t in times_ns], float)
-    values = np.array(nodes)
+    first, last = bisect_right(imu_ns, start_ns), bisect_left(imu_ns, end_ns)
+    offsets_ns = np.array([t - start_ns for t in (start_ns, *imu_ns[first:last], end_ns)], float)
+    inside = map(_readings, imu[first:last])
+    values = np.array([_imu_at(imu_ns, imu, start_ns), *inside, _imu_at(imu_ns, imu, end_ns)])
     middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
     means = 0.5 * (values[1:] + values[:-1])
     dt_s = (offsets_ns[1:] - offsets_ns[:-1]) / NS_PER_S
@@ -304,9 +331,26 @@ def intervals(
     scatter = 0.5 * float(np.vdot(steps, steps)) / len(steps) if len(steps) else math.nan
     by_wheels = np.zeros((2, len(dt_s)))
     if len(wheels_ns) > 1:
-        totals = (interpolate(times_ns[0], offsets_ns, wheels_ns, of) for of in (travelled_m, turned_rad))
+        totals = (interpolate(start_ns, offsets_ns, wheels_ns, of) for of in (travelled_m, turned_rad))
         by_wheels = np.diff(np.array([*totals]))
     return middle_ns, dt_s, means[:, :3], acceleration_rad_s2, means[:, 3:], scatter, *by_wheels
+
+
+def _imu_at(imu_ns: list[int], imu: list[ImuSample], t_ns: int) -> tuple[float, ...]:
+    """Return rates and specific force at a time, interpolated linearly; without turning in a pause."""
+    after = bisect_left(imu_ns, t_ns)
+    later = _readings(imu[min(after, len(imu) - 1)])
+    if after in (0, len(imu)) or imu_ns[after] == t_ns:
+        return later
+    earlier, interval_ns = _readings(imu[after - 1]), imu_ns[after] - imu_ns[after - 1]
+    if interval_ns > PAUSE_NS:
+        return 0.0, 0.0, 0.0, *earlier[3:]
+    part = (t_ns - imu_ns[after - 1]) / interval_ns
+    return tuple([a + part * (b - a) for a, b in zip(earlier, later, strict=True)])
+
+
+def _readings(sample: ImuSample) -> tuple[float, ...]:
+    return *sample.rate_rad_s, *sample.specific_force_m_s2
 
 
 @compiled

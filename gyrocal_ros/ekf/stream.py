@@ -57,14 +57,14 @@ class Synchroniser:
             case ImuSample() | WheelSample() | TemperatureSample() | CovariateSample():
                 self.buffer.add(measurement)
                 # Most samples: nothing to do until the next image, or until samples have reached it.
-                is_reached = bool(self._waiting) and measurement.t_ns >= self._needed_ns
+                is_reached = bool(self._waiting) and self.buffer.may_cover(self._needed_ns)
                 return is_reached or measurement.t_ns - filter_ns > MAX_BLOCK_NS
+            case TruthSample():
+                return False
             case FeatureObservations() | HeadingSample():
                 self._needed_ns = self._needed_ns if self._waiting else 0
                 self._waiting.append(measurement)
                 return True
-            case TruthSample():
-                return False
             case _:
                 raise TypeError(f'{type(measurement).__name__} is not for the filter')
 

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.motion`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict`, `ekf.step_record`,
+"""Twins of `ekf.motion`, `model.faulty_readings`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict`, `ekf.step_record`,
 `effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the samples of a block."""
 
 from libc.math cimport M_PI, cos, exp, fabs, isnan, sin, sqrt
@@ -21,11 +21,19 @@ TWINS = (
     'intervals',
     'low_pass',
     'mean_at_end',
+    'pass_usual',
     'path_in_block',
     'rate_scatter',
     'step_numbers',
     'way_and_turn',
 )
+
+
+# As in `ekf.motion` and in `model.faulty_readings`.
+cdef long long PAUSE_NS = 1_000_000_000
+cdef double MAX_ACCELERATION_RAD_S2 = 40.0, MIN_JUMP_RAD_S = 0.2, ROUGH_STEPS = 10.0, STEP_MEMORY = 0.02
+cdef double MAX_REPEATED_SHARE = 0.02
+cdef Py_ssize_t MIN_READINGS = 200
 
 
 cdef class Track:
@@ -61,10 +69,52 @@ cdef class Track:
         return self.slope * (offset_ns - self.low) + self.value
 
 
-def intervals(list times_ns, list nodes, list wheels_ns, list travelled_m, list turned_rad):
-    cdef Py_ssize_t n = len(times_ns) - 1, k, i
-    cdef tuple node
-    cdef long long start_ns = times_ns[0]
+cdef Py_ssize_t place(list times_ns, long long t_ns, bint right):
+    """Return where a time belongs among increasing ones, behind equal ones or before them."""
+    cdef Py_ssize_t low = 0, high = len(times_ns), middle
+    cdef long long here_ns
+    while low < high:
+        middle = (low + high) // 2
+        here_ns = times_ns[middle]
+        if here_ns < t_ns or (right and here_ns == t_ns):
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+cdef void read(object sample, double* values):
+    """Write rates and specific force (6,) of an IMU sample."""
+    cdef tuple rate = sample.rate_rad_s, force = sample.specific_force_m_s2
+    cdef Py_ssize_t i
+    for i in range(3):
+        values[i], values[3 + i] = rate[i], force[i]
+
+
+cdef void read_at(list imu_ns, list imu, long long t_ns, double* values):
+    """Write the same at a time, interpolated linearly; without turning in a pause."""
+    cdef Py_ssize_t after = place(imu_ns, t_ns, False), count = len(imu), i
+    cdef double earlier[6]
+    cdef double part
+    cdef long long before_ns, interval_ns
+    read(imu[min(after, count - 1)], values)
+    if after == 0 or after == count or <long long>imu_ns[after] == t_ns:
+        return
+    before_ns = imu_ns[after - 1]
+    interval_ns = <long long>imu_ns[after] - before_ns
+    read(imu[after - 1], earlier)
+    part = <double>(t_ns - before_ns) / <double>interval_ns
+    for i in range(6):
+        if interval_ns <= PAUSE_NS:
+            values[i] = earlier[i] + part * (values[i] - earlier[i])
+        else:
+            values[i] = 0.0 if i < 3 else earlier[i]
+
+
+def intervals(
+    list imu_ns, list imu, long long start_ns, long long end_ns, list wheels_ns, list travelled_m, list turned_rad
+):
+    cdef Py_ssize_t first = place(imu_ns, start_ns, True), n = place(imu_ns, end_ns, False) - first + 1, k, i
     cdef double offset_ns, earlier_ns = 0.0, scatter = 0.0, step
     cdef double here[6]
     cdef double before[6]
@@ -75,8 +125,7 @@ def intervals(list times_ns, list nodes, list wheels_ns, list travelled_m, list 
     cdef double* force = at(forces)
     cdef double* distance = at(ways)
     cdef double* turn = at(turns)
-    for i in range(6):
-        before[i] = 0.0
+    clear(before, 6)
     clear(distance, n)
     clear(turn, n)
     cdef bint has_wheels = len(wheels_ns) > 1
@@ -85,15 +134,17 @@ def intervals(list times_ns, list nodes, list wheels_ns, list travelled_m, list 
     if has_wheels:
         travelled, turned = Track(start_ns, wheels_ns, travelled_m), Track(start_ns, wheels_ns, turned_rad)
     for k in range(n + 1):
-        offset_ns = <double>(<long long>times_ns[k] - start_ns)
+        if 0 < k < n:
+            offset_ns = <double>(<long long>imu_ns[first + k - 1] - start_ns)
+            read(imu[first + k - 1], here)
+        else:
+            offset_ns = <double>(end_ns - start_ns) if k > 0 else 0.0
+            read_at(imu_ns, imu, end_ns if k > 0 else start_ns, here)
         if has_wheels:
             way_m, angle_rad = travelled.at(offset_ns), turned.at(offset_ns)
             if k > 0:
                 distance[k - 1], turn[k - 1] = way_m - way_before_m, angle_rad - angle_before_rad
             way_before_m, angle_before_rad = way_m, angle_rad
-        node = nodes[k]
-        for i in range(6):
-            here[i] = node[i]
         if k > 0:
             at(middle_ns)[k - 1] = 0.5 * (offset_ns + earlier_ns)
             dt[k - 1] = (offset_ns - earlier_ns) / 1e9
@@ -109,6 +160,41 @@ def intervals(list times_ns, list nodes, list wheels_ns, list travelled_m, list 
         earlier_ns = offset_ns
     scatter = 0.5 * scatter / (n - 2) if n > 2 else float('nan')
     return middle_ns, dt_s, rates, accelerations, forces, scatter, ways, turns
+
+
+def pass_usual(usual, list samples, Py_ssize_t first):
+    cdef object last = usual.last, sample
+    cdef Py_ssize_t passed = usual.passed, repeated = usual.repeated, i = first
+    cdef double mean_step = usual.mean_step_rad_s, largest = usual.largest_rad_s, z, before_z = 0.0, step
+    cdef long long t_ns, before_ns = 0
+    cdef tuple rate, before = None
+    cdef bint repeats
+    if last is not None:
+        before, before_ns = last.rate_rad_s, last.t_ns
+        before_z = before[2]
+    for i in range(first, len(samples) + 1):
+        if i == len(samples):
+            break
+        sample = samples[i]
+        rate, t_ns = sample.rate_rad_s, sample.t_ns
+        z = rate[2]
+        if before is not None:
+            step, repeats = fabs(z - before_z), rate == before
+            if t_ns <= before_ns:
+                break
+            if step >= MIN_JUMP_RAD_S and step > max(
+                MAX_ACCELERATION_RAD_S2 * (<double>(t_ns - before_ns) / 1e9), ROUGH_STEPS * mean_step
+            ):
+                break
+            if repeats and passed > MIN_READINGS and repeated < MAX_REPEATED_SHARE * passed and fabs(z) < largest:
+                break
+            mean_step += max(STEP_MEMORY, 1.0 / passed) * (step - mean_step)
+            repeated += repeats
+        if fabs(z) > largest:
+            largest = fabs(z)
+        passed += 1
+        before, before_ns, before_z = rate, t_ns, z
+    return i, passed, repeated, mean_step, largest
 
 
 def interpolate(long long start_ns, offsets_ns, list times_ns, list values):

@@ -171,7 +171,7 @@ class CalibrationWatch:
         if self._camera is not None:
             shift = self._camera.shift(state)
             self.finding = self._camera.finding(duration_s, state, shift)
-            std = np.hypot(std, shift)
+            std = std if shift is None else np.hypot(std, shift)
         elif self._heading is not None:
             self.finding = self._heading.finding
             std = np.hypot(std, self._heading.suspected_std(self._unknown_std))

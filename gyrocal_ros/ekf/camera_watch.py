@@ -20,7 +20,7 @@ from gyrocal_ros.data import Array, changed
 from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS, time_fault
 from gyrocal_ros.ekf.positive_definite import inverse
 from gyrocal_ros.ekf.scale_watch import NormalEquations, equations_added, normal_equations
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW_BIAS, State
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.statistics import chi_square_quantile
 
@@ -103,14 +103,14 @@ class CameraWatch:
         """(8,) errors of the camera if they are significant, zero otherwise."""
         return self.sums.values if self._is_significant else np.zeros(self.count)
 
-    def shift(self, state: State) -> Array:
-        """Return by how much the errors change yaw bias and coefficients, (1 + k,)."""
+    def shift(self, state: State) -> Array | None:
+        """Return by how much the errors change yaw bias and coefficients, (1 + k,); None without errors."""
         if not self._is_significant:
-            return np.zeros(1 + state.coefficient_count)
+            return None
         changes: Array = state.sensitivity[YAW_BIAS : state.robot_size, self._columns] @ self.errors
         return changes
 
-    def finding(self, duration_s: float, state: State, shift: Array) -> str:
+    def finding(self, duration_s: float, state: State, shift: Array | None) -> str:
         """Return what is wrong with the camera, once that has mattered for `SETTLE_S`; empty otherwise.
 
         An error matters if it shifts the scale factor by more than its standard deviation.
@@ -118,10 +118,11 @@ class CameraWatch:
         Args:
             duration_s: time since the last call.
             state: the state.
-            shift: as returned by `shift`.
+            shift: as `shift` returns it.
         """
-        scale_variance = state.covariance[COEFFICIENTS_START, COEFFICIENTS_START]
-        matters = len(shift) > 1 and shift[1] ** 2 > scale_variance
+        matters = False
+        if shift is not None and state.coefficient_count:
+            matters = bool(shift[SCALE] ** 2 > state.covariance[COEFFICIENTS_START, COEFFICIENTS_START])
         self._matters_s = self._matters_s + duration_s if matters else 0.0
         if self._matters_s < SETTLE_S:
             return self.allowed_for

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed, quickly_filled
+from gyrocal_ros.ekf.columns import gained, side_by_side
 from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.features.base import PosedCamera, Prediction
@@ -230,22 +231,6 @@ def pose_by_lacking(
     return by_values, tuple([term.memory for term in terms])
 
 
-@compiled
-def gained(gain: Array, parts: Sequence[Array], starts: Sequence[int], count: int) -> Array:
-    """Return the products (p, count) of a gain (p, N) with columns (N, k) that belong at some of the places.
-
-    Args:
-        gain: (p, N)
-        parts: columns (N, k) each.
-        starts: place of the first of each of them.
-        count: number of places; others are zero.
-    """
-    products = np.zeros((len(gain), count))
-    for part, start in zip(parts, starts, strict=True):
-        products[:, start : start + part.shape[1]] = gain @ part
-    return products
-
-
 def pose_motion(motion: PoseStep, block: MotionBlock) -> PoseMotion:
     """Return the motion at the end of a block; of the accelerations only that of the heading counts.
 
@@ -312,7 +297,6 @@ def measurement_by_values(
         motion: of the robot at that moment.
         values: (K,)
     """
-    by_values = np.zeros((len(prediction.points_c), 2, effects.count))
     seen = SeenPoints(
         view.camera,
         view.R_bc,
@@ -323,10 +307,11 @@ def measurement_by_values(
         prediction.expected,
         prediction.by_point,
     )
-    for effect, place in effects.camera:
-        by_values[:, :, place] = effect.pixels_by_values(seen, values[place])
+    parts = [effect.pixels_by_values(seen, values[place]) for effect, place in effects.camera]
+    places = [*effects.camera, *effects.time, *effects.shutter]
+    starts = [place.start for _, place in places]
     if not effects.time and not effects.shutter:
-        return by_values
+        return side_by_side(parts, starts, effects.count)
     by_offset, by_readout = pixels_by_delay(
         prediction.by_pose,
         prediction.expected,
@@ -335,11 +320,10 @@ def measurement_by_values(
         _readout_s(effects, values),
         view.camera.height_px,
     )
-    for _, place in effects.time:
-        by_values[:, :, place] = by_offset[:, :, None]
+    parts += [by_offset[:, :, None] for _ in effects.time]
     for shutter_effect, place in effects.shutter:
-        by_values[:, :, place] = by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1]
-    return by_values
+        parts.append(by_readout[:, :, None] * shutter_effect.readout_s(values[place])[1])
+    return side_by_side(parts, starts, effects.count)
 
 
 @compiled

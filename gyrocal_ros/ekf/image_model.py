@@ -70,7 +70,7 @@ class ImageModel:
 
         A scale factor that is wrong itself is corrected, however large that is; a bare model has none.
         """
-        if (abs(state.coefficients[:1]) > LARGEST_SCALE_ERROR).any():
+        if any(abs(scale_error) > LARGEST_SCALE_ERROR for scale_error in state.coefficients[:1].tolist()):
             return math.inf
         rate_rad_s = abs(float(self.motion.rate[YAW]))
         error_rad_s = LARGEST_SCALE_ERROR * rate_rad_s + LARGEST_BIAS_RAD_S

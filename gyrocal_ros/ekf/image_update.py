@@ -24,7 +24,7 @@ from gyrocal_ros.ekf.feature_scores import feature_scores
 from gyrocal_ros.ekf.gating import inliers
 from gyrocal_ros.ekf.image_heading import as_heading
 from gyrocal_ros.ekf.image_model import ImageModel
-from gyrocal_ros.ekf.judged import Judged, each_alone
+from gyrocal_ros.ekf.judged import each_alone
 from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
 from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget, mark_seen, match_ids
 from gyrocal_ros.ekf.near_features import with_near_features
@@ -153,7 +153,11 @@ def update_from_image(
         contradicts_turn=found.contradicts_turn,
         is_freed=found.freed is not None,
         rejected=len(good) - told.used,
-        noise_distances=_noise_dominated(judged, matches.unmoved, least) if is_in_pixels else np.empty(0),
+        noise_distances=(
+            noise_dominated(judged.distances, judged.noise_share, matches.unmoved, least)
+            if is_in_pixels
+            else NONE
+        ),
         dropped_ids=dropped_ids,
         compared=_compared(state, model, matches, innovation) if learns_slow_errors else (NO_FEATURES, NONE),
     )
@@ -373,7 +377,14 @@ def _at_first_sight(
     return by_feature
 
 
-def _noise_dominated(judged: Judged, unmoved: np.ndarray, least: float) -> Array:
-    """Return the distances of moved features of whose variance at least that part is pixel noise."""
-    features = zip(judged.distances.tolist(), judged.noise_share.tolist(), unmoved.tolist(), strict=True)
-    return np.array([distance for distance, share, stays in features if share > least and not stays])
+@compiled
+def noise_dominated(distances: Array, noise_share: Array, unmoved: np.ndarray, least: float) -> Array:
+    """Return the distances of moved features of whose variance more than a part is pixel noise.
+
+    Args:
+        distances: (m,) see `judged.Judged`.
+        noise_share: (m,)
+        unmoved: (m,) True for features that have not moved in the image.
+        least: that part.
+    """
+    return distances[(noise_share > least) & ~unmoved]

@@ -189,7 +189,8 @@ def count_matches(
         last_pixels=last_pixels,
         last_directions=last_directions,
     )
-    return keep(changed(state, landmarks=landmarks), rejections < drop_after)
+    counted = changed(state, landmarks=landmarks)
+    return counted if max(rejections.tolist()) < drop_after else keep(counted, rejections < drop_after)
 
 
 @compiled

@@ -150,14 +150,14 @@ class MotionBuffer:
             return
         sound, self._new_imu = self.faulty_gyro.sound(self._new_imu), []
         for sample in sound:
-            if self._imu:
+            if not self._imu_ns:
+                self._start_ns = sample.t_ns if self._start_ns is None else self._start_ns
+            else:
                 # Fast decrease and slow increase: right even while most samples are lost.
                 longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_interval_ns
                 self._usual_interval_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
-            elif self._start_ns is None:
-                self._start_ns = sample.t_ns
             self._imu_ns.append(sample.t_ns)
-            self._imu.append(sample)
+        self._imu += sound
 
     @property
     def start_ns(self) -> int | None:
@@ -209,10 +209,16 @@ class MotionBuffer:
         assert self.start_ns is not None and end_ns > start_ns
         wheels, duration_s = self._odometer, seconds(end_ns - start_ns)
         middle_ns, dt_s, rate_rad_s, acceleration_rad_s2, force_m_s2, scatter_m2_s4, *by_wheels = intervals(
-            self._imu_ns, self._imu, start_ns, end_ns, wheels.t_ns, wheels.travelled_m, wheels.turned_rad
+            self._imu_ns,
+            self._imu,
+            start_ns,
+            end_ns,
+            (self._lead_at(end_ns) - self._lead_rad) / duration_s,
+            wheels.t_ns,
+            wheels.travelled_m,
+            wheels.turned_rad,
         )
         distance_m, wheel_turn_rad = by_wheels
-        rate_rad_s[:, 2] -= (self._lead_at(end_ns) - self._lead_rad) / duration_s
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
         covariates[SPEED_SIGNAL] = distance_m / dt_s
         return MotionBlock(
@@ -298,6 +304,7 @@ def intervals(
     imu: list[ImuSample],
     start_ns: int,
     end_ns: int,
+    lead_rad_s: float,
     wheels_ns: list[int],
     travelled_m: list[float],
     turned_rad: list[float],
@@ -309,6 +316,7 @@ def intervals(
         imu: the samples.
         start_ns: start of the block.
         end_ns: its end.
+        lead_rad_s: rate about z by which interpolated rates lead; it is taken off.
         wheels_ns: times of the wheel encoders.
         travelled_m: way by the wheels until then.
         turned_rad: turn by the wheels until then.
@@ -325,6 +333,7 @@ def intervals(
     values = np.array([_imu_at(imu_ns, imu, start_ns), *inside, _imu_at(imu_ns, imu, end_ns)])
     middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
     means = 0.5 * (values[1:] + values[:-1])
+    means[:, 2] -= lead_rad_s
     dt_s = (offsets_ns[1:] - offsets_ns[:-1]) / NS_PER_S
     acceleration_rad_s2 = (values[1:, 2] - values[:-1, 2]) / dt_s
     steps = values[2:-1, 3:] - values[1:-2, 3:]

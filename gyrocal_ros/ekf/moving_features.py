@@ -43,6 +43,8 @@ class MovingFeatures:
     def find(self, state: State, update: MeasurementUpdate) -> IntArray:
         """Return the ids of features of the map that an image that agrees with it shows to move."""
         sliding, contradicting = self._sliding.find(state), self._contradictions.find(*update.compared)
+        if not len(sliding) and not len(contradicting):
+            return sliding
         found = {*sliding.tolist(), *contradicting.tolist()}
         self._seen_moving |= found
         return np.array(sorted(found), np.int64)

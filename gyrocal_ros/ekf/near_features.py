@@ -9,9 +9,11 @@ where the map expects it, and a smaller depth explains that, the depth is unknow
 from __future__ import annotations
 
 from gyrocal_ros.config.sections import FeatureConfig
+from gyrocal_ros.data import IntArray
 from gyrocal_ros.ekf.judged import mahalanobis
 from gyrocal_ros.ekf.state import State, with_further_errors
 from gyrocal_ros.ekf.update import Innovation, own_precisions
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.statistics import chi_square_quantile
 
 NEAR_STD_1_M = 2.0
@@ -30,10 +32,8 @@ def with_near_features(state: State, innovation: Innovation, config: FeatureConf
         innovation: of m features, anchored inverse depths.
         config: prior of an inverse depth, and probability of a gate.
     """
-    places = state.robot_size + 3 * innovation.rows + DEPTH
-    variances = state.covariance[places, places]
-    hardly_known = variances > (HARDLY_KNOWN * config.prior_inverse_depth_std) ** 2
-    if not hardly_known.any():
+    uncertain = hardly_known(state, innovation.rows, HARDLY_KNOWN * config.prior_inverse_depth_std)
+    if not len(uncertain):
         return state
     precisions = own_precisions(innovation)
     residual, by_depth = innovation.residual, innovation.prediction.by_feature[:, :, DEPTH]
@@ -43,5 +43,21 @@ def with_near_features(state: State, innovation: Innovation, config: FeatureConf
     # The lemma of Woodbury gives what is left of a distance where the depth is uncertain by that much more.
     left = distances - score**2 / (information + NEAR_STD_1_M**-2)
     gate = chi_square_quantile(1.0 - config.outlier_probability, residual.shape[1])
-    near = places[hardly_known & (distances > gate) & (score > 0.0) & (left <= gate)]
-    return with_further_errors(state, near, NEAR_STD_1_M) if len(near) else state
+    are_near = (distances > gate) & (score > 0.0) & (left <= gate)
+    near = innovation.rows[uncertain[are_near[uncertain]]]
+    places = state.robot_size + 3 * near + DEPTH
+    return with_further_errors(state, places, NEAR_STD_1_M) if len(near) else state
+
+
+@compiled
+def hardly_known(state: State, rows: IntArray, least: float) -> IntArray:
+    """Return which of m features have an inverse depth with at least this standard deviation, as indices.
+
+    Args:
+        state: features are anchored inverse depths.
+        rows: (m,) their indices in the map.
+        least: 1/m
+    """
+    places = state.robot_size + 3 * rows + DEPTH
+    uncertain: IntArray = (state.covariance[places, places] > least**2).nonzero()[0]
+    return uncertain

@@ -14,9 +14,10 @@ import math
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.state import YAW_BIAS, State
+from gyrocal_ros.kernels import compiled
 from gyrocal_ros.statistics import chi_square_quantile
 
 WINDOW_S = 5.0
@@ -55,6 +56,7 @@ class NoiseBank:
         self._relative_std: Array = np.zeros(1 + state.coefficient_count)
         self._places = YAW_BIAS + np.flatnonzero(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
         self._last: Array = self._variances(state)
+        self._grown: Array = np.zeros_like(self._last)
         self.begin(state)
 
     @property
@@ -76,7 +78,7 @@ class NoiseBank:
     def add(self, predicted: State, state: State, duration_s: float) -> None:
         """Take a step of the filter: the predicted state and that after the measurements, and its length."""
         # Random walks, and what ageing and warming add at the start.
-        self._grown += np.maximum(self._variances(predicted) - self._last, 0.0)
+        self._grown = variances_grown(self._grown, self._last, predicted.covariance, self._places)
         self._last = self._variances(state)
         self._time_s += duration_s
         if self._time_s < WINDOW_S:
@@ -115,7 +117,7 @@ class NoiseBank:
         self._mean: Array = mean
         self._covariance: Array = covariance
         self._last = covariance.diagonal()
-        self._grown: Array = np.zeros_like(mean)
+        self._grown = np.zeros_like(mean)
 
     def _update(self, change: Array, covariance: Array, expected: Array) -> None:
         """Update all alternatives by what the measurements of a window say.
@@ -153,3 +155,16 @@ class NoiseBank:
             largest = chi_square_quantile(1.0 - OUTLYING, len(left))
             log_determinants = np.linalg.slogdet(S)[1]
             self._log_likelihoods -= 0.5 * (np.minimum(distances, largest) + log_determinants)
+
+
+@compiled
+def variances_grown(grown: Array, before: Array, expected: Array, places: IntArray) -> Array:
+    """Return by how much variances (d,) have grown, after one more prediction.
+
+    Args:
+        grown: (d,) so far.
+        before: (d,) variances before the prediction.
+        expected: (n, n) predicted covariance.
+        places: (d,) indices in it.
+    """
+    return grown + np.maximum(expected[places, places] - before, 0.0)

@@ -13,7 +13,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from operator import or_
 
 import numpy as np
 
@@ -119,8 +118,8 @@ def equations_added(
 
 NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0)
 """No errors that are tested beside."""
-AGE, INFORMATION, SCORE, NIS, DOF = range(5)
-CROSS = slice(5, None)
+INFORMATION, SCORE, NIS, DOF = range(4)
+CROSS = slice(4, None)
 """Columns of the sums of a `ScaleWatch`; the last ones hold the information together with other errors."""
 
 
@@ -177,9 +176,11 @@ class ScaleWatch:
         self._was_calibrated, self._calibrated_s = np.full(COLUMNS, is_stored), 0.0
         self._ramp, self._ramp_variance, self._ramp_sigma = 0.0, math.inf, 0.0
         self._drift = 0.0
-        self._running_s = self._significant_s = 0.0
+        self._running_s = self._turned_rad = self._significant_s = 0.0
+        self._began: list[tuple[float, float]] = [(0.0, 0.0)] * COLUMNS
+        """Time and turn at which each window began."""
         self._is_turning = False
-        self._errors, self._turned_rad = EXACT, np.zeros(COLUMNS)
+        self._errors = EXACT
         # The turn that the scale factor is from: that of an earlier calibration is not known, but large.
         self._calibrating_turn_rad = math.inf if is_stored else 0.0
         self._unchanged_s, self._walk = math.inf, 0.0
@@ -221,7 +222,6 @@ class ScaleWatch:
                     self._sums, stats.information, stats.score, stats.nis, stats.dof, self._first
                 )
         self._errors = errors
-        self._sums[:, AGE] += duration_s
         self._turned_rad += turned_rad
         self._calibrating_turn_rad += turned_rad
         self._is_turning = turned_rad > TURNING_RAD_S * duration_s
@@ -231,13 +231,14 @@ class ScaleWatch:
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
         self._followed = self._followed.after(duration_s, side_rad if is_measured else 0.0)
         values, variances, sigmas = scale_changes(
-            self._sums, NOTHING if others is None else others, MAX_STD**-2.0, RAMP_S
+            self._sums, NOTHING if others is None else others, MAX_STD**-2.0, self._age_s(RAMP) / RAMP_S
         )
-        self._ramp, self._ramp_variance = float(values[RAMP]), float(variances[RAMP])
-        self._ramp_sigma = float(sigmas[RAMP])
+        self._ramp, self._ramp_variance = values.item(RAMP), variances.item(RAMP)
+        self._ramp_sigma = sigmas.item(RAMP)
         sigma = max(sigmas.tolist()[:RAMP])
         if sigma >= CHANGE_SIGMA:
-            repeated = (errors.repeated_rad / np.maximum(self._turned_rad, MIN_TURN_RAD)) ** 2
+            turned = [max(self._turned_since(column), MIN_TURN_RAD) for column in range(COLUMNS)]
+            repeated = (errors.repeated_rad / np.array(turned)) ** 2
             sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
             sigma = max(sigmas.tolist()[:RAMP])
         if sigma < CHANGE_SIGMA:
@@ -250,6 +251,14 @@ class ScaleWatch:
         std, was_calibrated = math.sqrt(variances[best]), bool(self._was_calibrated[best])
         return ScaleChange(self._first + best, float(values[best]), std, sigma, was_calibrated)
 
+    def _age_s(self, column: int) -> float:
+        """Return the time since the beginning of a window."""
+        return self._running_s - self._began[column][0]
+
+    def _turned_since(self, column: int) -> float:
+        """Return the turn (rad), to both sides, since the beginning of a window."""
+        return self._turned_rad - self._began[column][1]
+
     @property
     def is_settled(self) -> bool:
         """True if a change has been significant for long enough to be followed."""
@@ -257,7 +266,7 @@ class ScaleWatch:
 
     def suspected_std(self, state: State) -> float:
         """Return what adds to the deviation of the scale factor: a drift, slow errors, a next change."""
-        age_s, turned_rad = float(self._sums[RAMP, AGE]), float(self._turned_rad[RAMP])
+        age_s, turned_rad = self._age_s(RAMP), self._turned_since(RAMP)
         ramp = Ramp(self._ramp, self._ramp_variance, self._ramp_sigma, age_s, turned_rad)
         drift = suspected_drift(ramp, self._errors, self._chance_drift_std, self._drift)
         by_errors = self._errors.slow_rad / max(self._calibrating_turn_rad, MIN_TURN_RAD)
@@ -289,10 +298,11 @@ class ScaleWatch:
     def _ended(self, state: State) -> list[bool]:
         """Return which windows have ended, or are those of a change that the filter has corrected."""
         remaining = state.sensitivity[COEFFICIENTS_START, self._first :].tolist()
-        ages_s = self._sums[:, AGE].tolist()
-        ended = [age_s >= length_s for age_s, length_s in zip(ages_s, LENGTHS_S, strict=True)]
-        absorbed = [part < ABSORBED for part in remaining[:RAMP]]
-        return [*map(or_, ended, absorbed), ended[RAMP]]
+        remaining[RAMP] = 1.0  # a ramp begins with nothing
+        return [
+            self._running_s - began_s >= length_s or part < ABSORBED
+            for (began_s, _), length_s, part in zip(self._began, LENGTHS_S, remaining, strict=True)
+        ]
 
     def follow(self, state: State, change: ScaleChange) -> State:
         """Return the state as if the scale factor had been unknown at the beginning of the window.
@@ -302,7 +312,7 @@ class ScaleWatch:
         as well may go on, until a new ramp shows that it does not. A first estimate that was wrong, as the
         map of the first turns may be, is neither.
         """
-        window_s = float(self._sums[change.column - self._first, AGE])
+        window_s = self._age_s(change.column - self._first)
         is_drift = JUMP_S < window_s < self._running_s
         drifting_s = min(self._unchanged_s, window_s if is_drift else math.inf)
         walk = abs(change.value) / math.sqrt(max(drifting_s, SETTLE_S))
@@ -311,7 +321,7 @@ class ScaleWatch:
         is_ramp = change.was_calibrated and self._ramp_sigma**2 > change.sigma**2 - CHANCE_SIGMA**2
         self._drift = abs(self._ramp) if is_ramp and abs(self._ramp) < FASTEST_DRIFT else 0.0
         self._unchanged_s = self._significant_s = 0.0
-        self._calibrating_turn_rad = float(self._turned_rad[change.column - self._first])
+        self._calibrating_turn_rad = self._turned_since(change.column - self._first)
         if change.was_calibrated or self._followed.count:
             self._followed = self._followed.with_one(change.value, is_stored=self._is_stored)
         self._is_stored = False
@@ -326,14 +336,16 @@ class ScaleWatch:
             sensitivity[COEFFICIENTS_START, columns] = 1.0
             if chosen[RAMP]:
                 sensitivity[COEFFICIENTS_START, RAMP] = 0.0
-        self._sums[chosen] = self._turned_rad[chosen] = 0.0
+        self._sums[chosen] = 0.0
+        for column in chosen.nonzero()[0].tolist():
+            self._began[column] = self._running_s, self._turned_rad
         self._was_calibrated[chosen] = self._is_stored or self._calibrated_s > SETTLE_S
         return changed(state, sensitivity=sensitivity)
 
 
 @compiled
 def scores_added(sums: Array, information: Array, score: Array, nis: float, dof: int, first: int) -> Array:
-    """Return the sums (q, 5 + p) of `ScaleWatch` with those of an update.
+    """Return the sums (q, 4 + p) of `ScaleWatch` with those of an update.
 
     Args:
         sums: before.
@@ -352,23 +364,23 @@ def scores_added(sums: Array, information: Array, score: Array, nis: float, dof:
 
 @compiled
 def scale_changes(
-    sums: Array, others: NormalEquations, least: float, ramp_s: float
+    sums: Array, others: NormalEquations, least: float, grown: float
 ) -> tuple[Array, Array, Array]:
     """Return q changes, each estimated alone, their variances and their significances in sigma, (q,) each.
 
     Args:
-        sums: (q, 5 + p) as of `ScaleWatch`.
+        sums: (q, 4 + p) as of `ScaleWatch`.
         others: the p other errors. Where they explain the innovations better than any change, only what they
             do not explain can be a change.
         least: information on a change below which nothing is significant.
-        ramp_s: time in which the last change grows to one; it counts as what it is so far.
+        grown: part of one to which the last change, a ramp, has grown; it counts as what it is so far.
 
     Raises:
         FilterDivergedError: the information on the other errors is not positive definite.
     """
     information, score, cross = sums[:, INFORMATION], sums[:, SCORE], sums[:, CROSS]
     least_each = np.full(len(sums), least)
-    least_each[RAMP] *= (sums[RAMP, AGE] / ramp_s) ** 2
+    least_each[RAMP] *= grown**2
     information = np.maximum(information, TINY)
     explained = score**2 / information
     if others.explained > explained.max():

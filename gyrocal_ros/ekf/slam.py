@@ -292,7 +292,7 @@ class EkfSlam:
             self.state = add_landmarks(self.state, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:
             self.track_noise.learn(update, agrees=self._agrees(update))
-        dropped_ids = np.concatenate([gone_ids, update.dropped_ids])
+        dropped_ids = np.concatenate([gone_ids, update.dropped_ids]) if len(gone_ids) else update.dropped_ids
         return changed(update, added=len(new), on_lens=observations.on_lens, dropped_ids=dropped_ids)
 
     def _agrees(self, update: MeasurementUpdate) -> bool:

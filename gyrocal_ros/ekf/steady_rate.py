@@ -77,7 +77,7 @@ class SteadyRate:
         )
         set_rad2_s = math.radians(gyro.rate_noise_deg_s) ** 2
         tilt_rad2_s = [seen if _is_noisy(seen, set_rad2_s) else set_rad2_s for seen in (x_rad2_s, y_rad2_s)]
-        self.tilt_noise_rad_s = np.sqrt(tilt_rad2_s)
+        self.tilt_noise_rad_s = np.array([*map(math.sqrt, tilt_rad2_s)])
         by_effects_rad2_s = _noise_of(effects, block.rate_rad_s[:, 2])
         if not _is_noisy(z_rad2_s, set_rad2_s + by_effects_rad2_s):
             return gyro

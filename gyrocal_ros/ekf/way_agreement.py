@@ -9,10 +9,12 @@ from __future__ import annotations
 
 import cmath
 import math
+from statistics import median
 
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, FeatureObservations, IntArray, MotionBlock, Mount
+from gyrocal_ros.ekf.landmarks import match_ids
 from gyrocal_ros.model.camera import bearing
 
 LANE_M, MAX_TURN_RAD = 0.15, math.radians(2.0)
@@ -75,11 +77,11 @@ class WayAgreement:
     def _compare(self, ids: IntArray, bearings: Array) -> None:
         """Compare an image with that at the beginning of a lane."""
         assert self._ids is not None
-        _, first, second = np.intersect1d(self._ids, ids, return_indices=True)
+        second, first = match_ids(self._ids, ids)
         if len(first) < MIN_FEATURES:
             return
         shifts = self._bearings[first] - bearings[second] * cmath.rect(1.0, self._turn_rad)
-        shift = complex(np.median(shifts.real), np.median(shifts.imag))
+        shift = complex(median(shifts.real.tolist()), median(shifts.imag.tolist()))
         if abs(shift) > MIN_SHIFT:
             way = cmath.rect(math.copysign(1.0, self._way_m), 0.5 * self._turn_rad)
             self._sum += shift / abs(shift) / way

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.rotation`, `model.lens`, `model.camera`, `model.features`, `effects.camera_tilt` and
-`ekf.effects_by_place`, which explain the equations."""
+"""Twins of `model.rotation`, `model.lens`, `model.camera`, `model.features`, `effects.camera_tilt`,
+`ekf.columns` and `ekf.effects_by_place`, which explain the equations."""
 
 from libc.math cimport atan, cos, fabs, sin, sqrt
 
@@ -20,6 +20,7 @@ TWINS = (
     'project_with_jacobian',
     'rotation_derivatives',
     'rotation_from_euler',
+    'side_by_side',
     'turned_camera',
     'undistort_brown',
 )
@@ -323,3 +324,20 @@ def turned_camera(position_m, euler_rad, R_bc, p_bc):
         for l in range(3):
             at(p_wc)[i] += at(R_wb)[3 * i + l] * at(lever)[l]
     return R_wb, dR_wb, R_wc, dR_wc, p_wc
+
+
+def side_by_side(list parts, list starts, Py_ssize_t count):
+    cdef Array part = doubles(parts[0]), by_values
+    cdef Py_ssize_t rows = 2 * length(part), number, first, k, i, j
+    cdef const double* source
+    by_values = cube(length(part), 2, count)
+    clear(at(by_values), rows * count)
+    for number in range(len(parts)):
+        part, first = doubles(parts[number]), starts[number]
+        if cnp.PyArray_NDIM(part) != 3 or 2 * length(part) != rows or first + length(part, 2) > count:
+            raise ValueError(f'columns of shape {parts[number].shape} at {first} of {count}, for {rows} rows')
+        source, k = at(part), length(part, 2)
+        for i in range(rows):
+            for j in range(k):
+                at(by_values)[i * count + first + j] = source[i * k + j]
+    return by_values

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Twins of `ekf.state`, `ekf.anchors`, `ekf.feature_noise`, `ekf.known_depth`, `ekf.landmarks`, `ekf.image_update`,
-`ekf.repeated_errors` and `ekf.sliding`, which explain the equations."""
+`ekf.near_features`, `ekf.repeated_errors` and `ekf.sliding`, which explain the equations."""
 
 from libc.math cimport fabs, sqrt
 from libc.string cimport memcpy
@@ -18,12 +18,14 @@ TWINS = (
     'changed_depths',
     'compared_depths',
     'features_seen',
+    'hardly_known',
     'ids_by_way',
     'known_anchored',
     'learned_noise',
     'match_ids',
     'matches_counted',
     'motion_in_image',
+    'noise_dominated',
     'scaled_noise',
     'shared_ways',
     'shift',
@@ -70,6 +72,29 @@ def features_seen(state, rows):
                 for i in range(3):
                     position[3 * f + i] = x[start + 3 * place + i]
     return parameters, R, p, own_values, own_candidates
+
+
+def hardly_known(state, rows, double least):
+    cdef Array P = doubles(state.covariance), which = integers(rows), uncertain = indices(length(which))
+    cdef Py_ssize_t n = length(P), start = COEFFICIENTS_START + <Py_ssize_t>state.coefficient_count + 2, f, count = 0
+    for f in range(length(which)):
+        if at(P)[(start + 3 * at_integers(which)[f]) * (n + 1)] > least * least:
+            at_integers(uncertain)[count] = f
+            count += 1
+    return first_of(uncertain, count)
+
+
+def noise_dominated(distances, noise_share, unmoved, double least):
+    cdef Array squares = doubles(distances), shares = doubles(noise_share)
+    cdef Array flags = cnp.PyArray_GETCONTIGUOUS(unmoved)
+    cdef const unsigned char* stays = <const unsigned char*>cnp.PyArray_DATA(flags)
+    cdef Py_ssize_t f, count = 0
+    cdef Array chosen = vector(length(squares))
+    for f in range(length(squares)):
+        if at(shares)[f] > least and not stays[f]:
+            at(chosen)[count] = at(squares)[f]
+            count += 1
+    return first_of(chosen, count)
 
 
 def ids_by_way(state, camera_m, double least):

@@ -1,6 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.motion`, `model.faulty_readings`, `ekf.steady_rate`, `ekf.effects_by_place`, `ekf.predict`, `ekf.step_record`,
-`effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the samples of a block."""
+"""Twins of `ekf.motion`, `model.faulty_readings`, `ekf.steady_rate`, `ekf.columns`, `ekf.effects_by_place`,
+`ekf.predict`, `ekf.step_record`, `effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the
+samples of a block."""
 
 from libc.math cimport M_PI, cos, exp, fabs, isnan, sin, sqrt
 
@@ -112,7 +113,14 @@ cdef void read_at(list imu_ns, list imu, long long t_ns, double* values):
 
 
 def intervals(
-    list imu_ns, list imu, long long start_ns, long long end_ns, list wheels_ns, list travelled_m, list turned_rad
+    list imu_ns,
+    list imu,
+    long long start_ns,
+    long long end_ns,
+    double lead_rad_s,
+    list wheels_ns,
+    list travelled_m,
+    list turned_rad,
 ):
     cdef Py_ssize_t first = place(imu_ns, start_ns, True), n = place(imu_ns, end_ns, False) - first + 1, k, i
     cdef double offset_ns, earlier_ns = 0.0, scatter = 0.0, step
@@ -155,6 +163,7 @@ def intervals(
                 if 1 < k < n:  # between samples, the ends of the block are none
                     step = here[3 + i] - before[3 + i]
                     scatter += step * step
+            rate[3 * (k - 1) + 2] -= lead_rad_s
         for i in range(6):
             before[i] = here[i]
         earlier_ns = offset_ns

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.positive_definite` and `ekf.scale_watch`, which explain the equations."""
+"""Twins of `ekf.noise_bank`, `ekf.positive_definite` and `ekf.scale_watch`, which explain the equations."""
 
 from libc.float cimport DBL_MIN
 from libc.math cimport fabs, sqrt
@@ -8,17 +8,16 @@ cimport numpy as cnp
 from numpy cimport ndarray as Array
 
 from gyrocal_ros.errors import IndefiniteCovarianceError
-from gyrocal_ros.kernels.arrays cimport at, clear, copied, doubles, length, matrix, vector
+from gyrocal_ros.kernels.arrays cimport at, at_integers, clear, copied, doubles, integers, length, matrix, vector
 from gyrocal_ros.kernels.positive_definite cimport invert, whiten
 
 cnp.import_array()
 
-TWINS = ('equations_added', 'scale_changes', 'scores_added', 'solve', 'whitener')
+TWINS = ('equations_added', 'scale_changes', 'scores_added', 'solve', 'variances_grown', 'whitener')
 
 cdef double NOT_SEPARABLE = 1e-9
 
 cdef enum:  # columns of the sums of `ScaleWatch`
-    AGE
     INFORMATION
     SCORE
     NIS
@@ -92,7 +91,15 @@ def scores_added(sums, information, score, double nis, double dof, Py_ssize_t fi
     return result
 
 
-def scale_changes(sums, others, double least, double ramp_s):
+def variances_grown(grown, before, expected, places):
+    cdef Array total = copied(doubles(grown)), last = doubles(before), P = doubles(expected), which = integers(places)
+    cdef Py_ssize_t across = length(P) + 1, i
+    for i in range(length(total)):
+        at(total)[i] += max(at(P)[at_integers(which)[i] * across] - at(last)[i], 0.0)
+    return total
+
+
+def scale_changes(sums, others, double least, double grown):
     cdef Array of_windows = doubles(sums), others_score = doubles(others.score), work, precision = None
     cdef Py_ssize_t q = length(of_windows), width = length(of_windows, 1), p = width - CROSS, i, j, l
     cdef double others_explained = others.explained, explained = 0.0, known, left, weight, seen
@@ -121,6 +128,6 @@ def scale_changes(sums, others, double least, double ramp_s):
         at(values)[i] = seen / left
         at(variances)[i] = max((sum_[NIS] - seen * at(values)[i]) / max(sum_[DOF], 1.0), 1.0) / left
         if i == q - 1:
-            least *= (sum_[AGE] / ramp_s) * (sum_[AGE] / ramp_s)
+            least *= grown * grown
         at(sigmas)[i] = 0.0 if left < least else fabs(at(values)[i]) / sqrt(at(variances)[i])
     return values, variances, sigmas

@@ -6,6 +6,7 @@ import ast
 import gc
 import os
 import shutil
+import sys
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
@@ -16,6 +17,9 @@ import pytest
 
 # The commands do the same: idle threads of the linear algebra loop, and take the processor from the tests.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+# Nor is every module compiled again by each worker and by each of the hundred commands that tests start.
+os.environ.pop('PYTHONDONTWRITEBYTECODE', None)
+sys.dont_write_bytecode = False
 
 ROS_TESTS = Path(__file__).parent / 'ros'
 HAS_ROS = find_spec('rclpy') is not None

@@ -28,7 +28,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
 from gyrocal_ros.ekf.effects_by_place import MotionContribution
-from gyrocal_ros.ekf.motion import PAUSE_NS
+from gyrocal_ros.ekf.intervals import PAUSE_NS
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.process_noise import BlockNoise
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
@@ -133,7 +133,11 @@ def intervals(rng: np.random.Generator, count: int) -> Arguments:
     start_ns, end_ns = sorted(rng.choice([*times_ns, *rng.integers(low, high, 4).tolist()], 2, replace=False))
     _, _, wheels_ns, travelled_m = interpolate(rng, count)
     of_wheels = wheels_ns, travelled_m, travelled_m[::-1]
-    return times_ns, samples, int(start_ns), int(end_ns), float(rng.normal()), *of_wheels
+    return times_ns, samples, int(start_ns), int(end_ns), *rng.normal(size=2).tolist(), *of_wheels
+
+
+def usual_interval_ns(rng: np.random.Generator, count: int) -> Arguments:
+    return [sample.t_ns for sample in imu_samples(rng, count)], 1 + count // 3, 7e6
 
 
 def pass_usual(rng: np.random.Generator, count: int) -> Arguments:
@@ -537,6 +541,7 @@ MAKERS: tuple[Maker, ...] = (
     step_numbers,
     turned_camera,
     undistort_brown,
+    usual_interval_ns,
     variances_grown,
     way_and_turn,
     weigh,

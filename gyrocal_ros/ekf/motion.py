@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_left, bisect_right
+from collections.abc import Sequence
 from itertools import pairwise
 from operator import sub
-from typing import Any
-
-import numpy as np
 
 from gyrocal_ros.data import (
     NS_PER_S,
@@ -21,14 +19,12 @@ from gyrocal_ros.data import (
     constant,
     seconds,
 )
-from gyrocal_ros.kernels import compiled
+from gyrocal_ros.ekf.intervals import PAUSE_NS, interpolate, intervals, usual_interval_ns
 from gyrocal_ros.model.faulty_readings import FaultyGyro, FaultyWheels
 from gyrocal_ros.model.recording import SPEED_SIGNAL
 
 GAP_NS = 100_000_000
 """Maximum interval between IMU samples; a longer one is a gap."""
-PAUSE_NS = 1_000_000_000
-"""Minimum length of a gap whose rates are not interpolated: its ends say nothing about the turn within."""
 DROPOUT_INTERVALS, MIN_DROPOUT_NS = 4.0, 15_000_000
 """Minimum length of a dropout (some samples lost), in usual intervals and in ns; both have to be exceeded."""
 DROPOUT_S = 1.0
@@ -119,7 +115,6 @@ class MotionBuffer:
         self._start_ns: int | None = None
         self._new_imu: list[ImuSample] = []
         self._new_wheels: list[WheelSample] = []
-        self._newest_wheels_ns: int | None = None
         self._imu_ns: list[int] = []
         self._usual_interval_ns = float(GAP_NS)
         self._imu: list[ImuSample] = []
@@ -135,7 +130,6 @@ class MotionBuffer:
             self._new_imu.append(sample)
         elif isinstance(sample, WheelSample):
             self._new_wheels.append(sample)
-            self._newest_wheels_ns = max(sample.t_ns, self._newest_wheels_ns or sample.t_ns)
         elif isinstance(sample, TemperatureSample):
             self._temperature.append(sample.t_ns, sample.temperature_c)
         else:
@@ -149,15 +143,12 @@ class MotionBuffer:
         if not self._new_imu:
             return
         sound, self._new_imu = self.faulty_gyro.sound(self._new_imu), []
-        for sample in sound:
-            if not self._imu_ns:
-                self._start_ns = sample.t_ns if self._start_ns is None else self._start_ns
-            else:
-                # Fast decrease and slow increase: right even while most samples are lost.
-                longer_ns = sample.t_ns - self._imu_ns[-1] - self._usual_interval_ns
-                self._usual_interval_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
-            self._imu_ns.append(sample.t_ns)
+        if sound and self._start_ns is None:
+            self._start_ns = sound[0].t_ns
+        known = len(self._imu_ns)
+        self._imu_ns += [sample.t_ns for sample in sound]
         self._imu += sound
+        self._usual_interval_ns = usual_interval_ns(self._imu_ns, max(known, 1), self._usual_interval_ns)
 
     @property
     def start_ns(self) -> int | None:
@@ -175,16 +166,16 @@ class MotionBuffer:
         self._take_up()
         if not self._imu_ns:
             return None
-        return self._covered_ns(self._imu_ns[-1], self._odometer.t_ns[-1] if self._odometer.t_ns else None)
+        imu_ns, wheels_ns = self._imu_ns[-1], self._odometer.t_ns
+        return min(imu_ns, max(wheels_ns[-1], imu_ns - WHEEL_TIMEOUT_NS)) if wheels_ns else imu_ns
 
     def may_cover(self, t_ns: int) -> bool:
         """Return True if the newest samples reach a time; they cover it unless they are faulty."""
-        newest_ns = self._new_imu[-1].t_ns if self._new_imu else self._imu_ns[-1] if self._imu_ns else None
-        return newest_ns is not None and self._covered_ns(newest_ns, self._newest_wheels_ns) >= t_ns
-
-    @staticmethod
-    def _covered_ns(imu_ns: int, wheels_ns: int | None) -> int:
-        return imu_ns if wheels_ns is None else min(imu_ns, max(wheels_ns, imu_ns - WHEEL_TIMEOUT_NS))
+        imu_ns = _newest_ns(self._new_imu, self._imu_ns)
+        if imu_ns is None or imu_ns < t_ns:
+            return False
+        wheels_ns = _newest_ns(self._new_wheels, self._odometer.t_ns)
+        return wheels_ns is None or max(wheels_ns, imu_ns - WHEEL_TIMEOUT_NS) >= t_ns
 
     def pause_end_ns(self, t_ns: int) -> int | None:
         """Return the next IMU sample, if it follows on a pause that includes a time; None without a pause."""
@@ -208,27 +199,28 @@ class MotionBuffer:
         """Return the block from `start_ns` to `end_ns` without dropping samples."""
         assert self.start_ns is not None and end_ns > start_ns
         wheels, duration_s = self._odometer, seconds(end_ns - start_ns)
-        middle_ns, dt_s, rate_rad_s, acceleration_rad_s2, force_m_s2, scatter_m2_s4, *by_wheels = intervals(
+        middle_ns, time_s, dt_s, rates, accelerations, forces, scatter_m2_s4, *by_wheels = intervals(
             self._imu_ns,
             self._imu,
             start_ns,
             end_ns,
+            self.running_s(start_ns),
             (self._lead_at(end_ns) - self._lead_rad) / duration_s,
             wheels.t_ns,
             wheels.travelled_m,
             wheels.turned_rad,
         )
-        distance_m, wheel_turn_rad = by_wheels
+        distance_m, wheel_turn_rad, speed_m_s = by_wheels
         covariates = {name: signal.at(start_ns, middle_ns) for name, signal in self._covariates.items()}
-        covariates[SPEED_SIGNAL] = distance_m / dt_s
+        covariates[SPEED_SIGNAL] = speed_m_s
         return MotionBlock(
             start_ns=start_ns,
             end_ns=end_ns,
-            time_s=self.running_s(start_ns) + middle_ns / NS_PER_S,
+            time_s=time_s,
             dt_s=dt_s,
-            rate_rad_s=rate_rad_s,
-            yaw_acceleration_rad_s2=acceleration_rad_s2,
-            specific_force_m_s2=force_m_s2,
+            rate_rad_s=rates,
+            yaw_acceleration_rad_s2=accelerations,
+            specific_force_m_s2=forces,
             vibration_m2_s4=constant(self._vibration(scatter_m2_s4, duration_s), len(dt_s)),
             distance_m=distance_m,
             wheel_turn_rad=wheel_turn_rad,
@@ -298,78 +290,8 @@ class MotionBuffer:
             signal.forget_before(t_ns)
 
 
-@compiled
-def intervals(
-    imu_ns: list[int],
-    imu: list[ImuSample],
-    start_ns: int,
-    end_ns: int,
-    lead_rad_s: float,
-    wheels_ns: list[int],
-    travelled_m: list[float],
-    turned_rad: list[float],
-) -> tuple[Any, ...]:
-    """Return the columns of the N intervals between samples of a block.
-
-    Args:
-        imu_ns: times of the IMU samples.
-        imu: the samples.
-        start_ns: start of the block.
-        end_ns: its end.
-        lead_rad_s: rate about z by which interpolated rates lead; it is taken off.
-        wheels_ns: times of the wheel encoders.
-        travelled_m: way by the wheels until then.
-        turned_rad: turn by the wheels until then.
-
-    Returns:
-        (N,) middles of the intervals in ns since the start, (N,) their lengths in s, (N, 3) mean rates, (N,)
-        yaw accelerations, (N, 3) mean specific forces, half the mean square of the differences of the
-        specific force between successive samples, NaN with fewer than two, and (N,) ways and (N,) turns by
-        the wheels, zero with fewer than two of their samples.
-    """
-    first, last = bisect_right(imu_ns, start_ns), bisect_left(imu_ns, end_ns)
-    offsets_ns = np.array([t - start_ns for t in (start_ns, *imu_ns[first:last], end_ns)], float)
-    inside = map(_readings, imu[first:last])
-    values = np.array([_imu_at(imu_ns, imu, start_ns), *inside, _imu_at(imu_ns, imu, end_ns)])
-    middle_ns = 0.5 * (offsets_ns[1:] + offsets_ns[:-1])
-    means = 0.5 * (values[1:] + values[:-1])
-    means[:, 2] -= lead_rad_s
-    dt_s = (offsets_ns[1:] - offsets_ns[:-1]) / NS_PER_S
-    acceleration_rad_s2 = (values[1:, 2] - values[:-1, 2]) / dt_s
-    steps = values[2:-1, 3:] - values[1:-2, 3:]
-    scatter = 0.5 * float(np.vdot(steps, steps)) / len(steps) if len(steps) else math.nan
-    by_wheels = np.zeros((2, len(dt_s)))
-    if len(wheels_ns) > 1:
-        totals = (interpolate(start_ns, offsets_ns, wheels_ns, of) for of in (travelled_m, turned_rad))
-        by_wheels = np.diff(np.array([*totals]))
-    return middle_ns, dt_s, means[:, :3], acceleration_rad_s2, means[:, 3:], scatter, *by_wheels
-
-
-def _imu_at(imu_ns: list[int], imu: list[ImuSample], t_ns: int) -> tuple[float, ...]:
-    """Return rates and specific force at a time, interpolated linearly; without turning in a pause."""
-    after = bisect_left(imu_ns, t_ns)
-    later = _readings(imu[min(after, len(imu) - 1)])
-    if after in (0, len(imu)) or imu_ns[after] == t_ns:
-        return later
-    earlier, interval_ns = _readings(imu[after - 1]), imu_ns[after] - imu_ns[after - 1]
-    if interval_ns > PAUSE_NS:
-        return 0.0, 0.0, 0.0, *earlier[3:]
-    part = (t_ns - imu_ns[after - 1]) / interval_ns
-    return tuple([a + part * (b - a) for a, b in zip(earlier, later, strict=True)])
-
-
-def _readings(sample: ImuSample) -> tuple[float, ...]:
-    return *sample.rate_rad_s, *sample.specific_force_m_s2
-
-
-@compiled
-def interpolate(start_ns: int, offsets_ns: Array, times_ns: list[int], values: list[float]) -> Array:
-    """Interpolate linearly between samples; constant before the first and after the last.
-
-    Args:
-        start_ns: time from which the offsets count.
-        offsets_ns: (n,) times, increasing.
-        times_ns: times of the samples.
-        values: the samples.
-    """
-    return np.interp(offsets_ns, np.array([t - start_ns for t in times_ns], float), values)
+def _newest_ns(new: Sequence[ImuSample | WheelSample], known_ns: list[int]) -> int | None:
+    """Return the time of the last sample; None without any."""
+    if new:
+        return new[-1].t_ns
+    return known_ns[-1] if known_ns else None

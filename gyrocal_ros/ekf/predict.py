@@ -44,7 +44,7 @@ class FilterModel:
     """Effects of the sensor model, by place."""
     gyro: GyroConfig
     wheels: WheelConfig
-    tilt_rate_noise_rad_s: Array | None = None
+    tilt_rate_noise_rad_s: Sequence[float] | None = None
     """(2,) white noise densities of the x and y gyros; None where they are like the yaw gyro's."""
     rate_change_rad_s: float = 0.0
     """Change of the yaw rate since the last block, see `MISALIGNMENT_RAD`."""
@@ -288,13 +288,14 @@ def _noise_of(block: MotionBlock, model: FilterModel, rate_rad_s: Array, unknown
     if effects.count and gyro.scale_walk:  # the first coefficient is the scale factor
         walks = walks.copy()
         walks[0] = math.hypot(walks[0], gyro.scale_walk)
-    tilt_walk = math.hypot(walk, MISALIGNMENT_RAD * model.rate_change_rad_s / math.sqrt(block.duration_s))
-    slow_rad = SLOW_TILT_RAD_S * block.duration_s
-    per_rad = gyro.tilt_scale_std / math.sqrt(block.duration_s)
-    missed = [per_rad * max(abs(tilt) - slow_rad, 0.0) for tilt in (block.dt_s @ rate_rad_s[:, :2]).tolist()]
-    tilt_density = density if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s
+    duration_s = block.duration_s
+    tilt_walk = math.hypot(walk, MISALIGNMENT_RAD * model.rate_change_rad_s / math.sqrt(duration_s))
+    slow_rad, per_rad = SLOW_TILT_RAD_S * duration_s, gyro.tilt_scale_std / math.sqrt(duration_s)
+    tilts_rad = block.dt_s.dot(rate_rad_s)[:2].tolist()
+    missed = (per_rad * max(abs(tilt_rad) - slow_rad, 0.0) for tilt_rad in tilts_rad)
+    by_readings = (density, density) if model.tilt_rate_noise_rad_s is None else model.tilt_rate_noise_rad_s
     return BlockNoise(
-        np.hypot(tilt_density, missed),
+        np.array([*map(math.hypot, by_readings, missed)]),
         yaw_density,
         math.radians(gyro.gap_rate_std_deg_s) * block.gap_s,
         unknown_rad,
@@ -303,5 +304,5 @@ def _noise_of(block: MotionBlock, model: FilterModel, rate_rad_s: Array, unknown
         tilt_walk,
         yaw_walk,
         walks,
-        block.duration_s,
+        duration_s,
     )

@@ -226,7 +226,7 @@ class EkfSlam:
         if self._levelling is None:
             rates = self._steady.tilt_noise_rad_s, self._steady.change_rad_s
         else:
-            rates = self._levelling.rate_noise_rad_s(block), 0.0
+            rates = self._levelling.rate_noise_rad_s(block).tolist(), 0.0
         model = FilterModel(self.model, self._effects, gyro, self.wheel_noise.config, *rates)
         self.state, transition = predict(before, block, model, self.memories, steady)
         self.memories = transition.contribution.correction.memories

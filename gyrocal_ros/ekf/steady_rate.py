@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, insort
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -45,7 +46,7 @@ class SteadyRate:
         self._blocks = 0
         self.change_rad_s = 0.0
         """Change of the mean rate to the last block; zero while it is steady."""
-        self.tilt_noise_rad_s: Array | None = None
+        self.tilt_noise_rad_s: Sequence[float] | None = None
         """(2,) noise of the x and y gyros, of settings or readings; None as long as the readings are few."""
         self._was_at_rest = False
         self._noise_rad2_s: float | None = None
@@ -77,7 +78,7 @@ class SteadyRate:
         )
         set_rad2_s = math.radians(gyro.rate_noise_deg_s) ** 2
         tilt_rad2_s = [seen if _is_noisy(seen, set_rad2_s) else set_rad2_s for seen in (x_rad2_s, y_rad2_s)]
-        self.tilt_noise_rad_s = np.array([*map(math.sqrt, tilt_rad2_s)])
+        self.tilt_noise_rad_s = [*map(math.sqrt, tilt_rad2_s)]
         by_effects_rad2_s = _noise_of(effects, block.rate_rad_s[:, 2])
         if not _is_noisy(z_rad2_s, set_rad2_s + by_effects_rad2_s):
             return gyro

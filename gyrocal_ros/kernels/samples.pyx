@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.motion`, `model.faulty_readings`, `ekf.steady_rate`, `ekf.columns`, `ekf.effects_by_place`,
+"""Twins of `ekf.intervals`, `model.faulty_readings`, `ekf.steady_rate`, `ekf.columns`, `ekf.effects_by_place`,
 `ekf.predict`, `ekf.step_record`, `effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the
 samples of a block."""
 
@@ -26,11 +26,12 @@ TWINS = (
     'path_in_block',
     'rate_scatter',
     'step_numbers',
+    'usual_interval_ns',
     'way_and_turn',
 )
 
 
-# As in `ekf.motion` and in `model.faulty_readings`.
+# As in `ekf.intervals` and in `model.faulty_readings`.
 cdef long long PAUSE_NS = 1_000_000_000
 cdef double MAX_ACCELERATION_RAD_S2 = 40.0, MIN_JUMP_RAD_S = 0.2, ROUGH_STEPS = 10.0, STEP_MEMORY = 0.02
 cdef double MAX_REPEATED_SHARE = 0.02
@@ -117,6 +118,7 @@ def intervals(
     list imu,
     long long start_ns,
     long long end_ns,
+    double running_s,
     double lead_rad_s,
     list wheels_ns,
     list travelled_m,
@@ -127,7 +129,7 @@ def intervals(
     cdef double here[6]
     cdef double before[6]
     cdef Array middle_ns = vector(n), dt_s = vector(n), rates = matrix(n, 3), accelerations = vector(n), forces = matrix(n, 3)
-    cdef Array ways = vector(n), turns = vector(n)
+    cdef Array ways = vector(n), turns = vector(n), speeds = vector(n), time_s = vector(n)
     cdef double* dt = at(dt_s)
     cdef double* rate = at(rates)
     cdef double* force = at(forces)
@@ -155,7 +157,9 @@ def intervals(
             way_before_m, angle_before_rad = way_m, angle_rad
         if k > 0:
             at(middle_ns)[k - 1] = 0.5 * (offset_ns + earlier_ns)
+            at(time_s)[k - 1] = running_s + at(middle_ns)[k - 1] / 1e9
             dt[k - 1] = (offset_ns - earlier_ns) / 1e9
+            at(speeds)[k - 1] = distance[k - 1] / dt[k - 1]
             at(accelerations)[k - 1] = (here[2] - before[2]) / dt[k - 1]
             for i in range(3):
                 rate[3 * (k - 1) + i] = 0.5 * (here[i] + before[i])
@@ -168,7 +172,16 @@ def intervals(
             before[i] = here[i]
         earlier_ns = offset_ns
     scatter = 0.5 * scatter / (n - 2) if n > 2 else float('nan')
-    return middle_ns, dt_s, rates, accelerations, forces, scatter, ways, turns
+    return middle_ns, time_s, dt_s, rates, accelerations, forces, scatter, ways, turns, speeds
+
+
+def usual_interval_ns(list times_ns, Py_ssize_t first, double usual_ns):
+    cdef Py_ssize_t i
+    cdef double longer_ns
+    for i in range(first, len(times_ns)):
+        longer_ns = <double>(<long long>times_ns[i] - <long long>times_ns[i - 1]) - usual_ns
+        usual_ns += longer_ns * (0.001 if longer_ns > 0.0 else 0.2)
+    return usual_ns
 
 
 def pass_usual(usual, list samples, Py_ssize_t first):

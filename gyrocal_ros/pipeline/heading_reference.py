@@ -22,7 +22,8 @@ from gyrocal_ros.data import (
     Measurement,
     Source,
 )
-from gyrocal_ros.ekf.motion import GAP_NS, PAUSE_NS
+from gyrocal_ros.ekf.intervals import PAUSE_NS
+from gyrocal_ros.ekf.motion import GAP_NS
 from gyrocal_ros.ekf.reference_bank import NoiseFit
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import Start

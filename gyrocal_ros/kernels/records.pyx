@@ -26,17 +26,20 @@ cdef class Layout:
     """Where a frozen dataclass with slots keeps its fields, and what they are where nothing is given."""
 
     cdef tuple names
-    cdef dict defaults, factories
+    cdef dict places, defaults, factories
+    cdef Py_ssize_t count
     cdef Py_ssize_t[MOST_FIELDS] offsets
 
     def __cinit__(self, cls):
         items = fields(cls)
         self.names = tuple([item.name for item in items])
+        self.places = {name: i for i, name in enumerate(self.names)}
         self.defaults = {item.name: item.default for item in items if item.default is not MISSING}
         self.factories = {
             item.name: item.default_factory for item in items if item.default_factory is not MISSING
         }
-        if len(items) > MOST_FIELDS:
+        self.count = len(items)
+        if self.count > MOST_FIELDS:
             raise TypeError(f'{cls.__name__} has more than {MOST_FIELDS} fields')
         for i, name in enumerate(self.names):
             slot = getattr(cls, name, None)
@@ -68,24 +71,26 @@ def quickly_filled(cls):
     LAYOUTS[cls] = layout
 
     def __init__(self, *args, **values):
-        cdef Py_ssize_t given = len(args), used = 0, i
-        if given > len(layout.names):
-            raise TypeError(f'{cls.__name__} has {len(layout.names)} fields, not {given}')
+        cdef Py_ssize_t given = len(args), i
+        if given > layout.count:
+            raise TypeError(f'{cls.__name__} has {layout.count} fields, not {given}')
         for i in range(given):
             put(self, layout.offsets[i], args[i])
-        for i in range(given, len(layout.names)):
+        for name, value in values.items():
+            place = layout.places.get(name)
+            if place is None or place < given:
+                raise TypeError(f'{cls.__name__} got a field twice, or one that it has not: {name}')
+            put(self, layout.offsets[place], value)
+        for i in range(given, layout.count):
+            if FIELD(self, layout.offsets[i])[0] != NULL:
+                continue
             name = layout.names[i]
-            if values and name in values:
-                put(self, layout.offsets[i], values[name])
-                used += 1
-            elif name in layout.defaults:
+            if name in layout.defaults:
                 put(self, layout.offsets[i], layout.defaults[name])
             elif name in layout.factories:
                 put(self, layout.offsets[i], layout.factories[name]())
             else:
                 raise TypeError(f'{cls.__name__} lacks its field {name}')
-        if used != len(values):
-            raise TypeError(f'{cls.__name__} got a field twice, or one that it has not: {", ".join(values)}')
 
     cls.__init__ = __init__
     return cls
@@ -95,14 +100,12 @@ def changed(item, /, **values):
     cls = type(item)
     cdef Layout layout = layout_of(cls)
     copy = cls.__new__(cls)
-    cdef Py_ssize_t found = 0, i
-    for i in range(len(layout.names)):
-        name = layout.names[i]
-        if name in values:
-            put(copy, layout.offsets[i], values[name])
-            found += 1
-        else:
-            put(copy, layout.offsets[i], <object>FIELD(item, layout.offsets[i])[0])
-    if found != len(values):
-        raise TypeError(f'{cls.__name__} has no field of one of these names: {", ".join(values)}')
+    cdef Py_ssize_t i
+    for i in range(layout.count):
+        put(copy, layout.offsets[i], <object>FIELD(item, layout.offsets[i])[0])
+    for name, value in values.items():
+        place = layout.places.get(name)
+        if place is None:
+            raise TypeError(f'{cls.__name__} has no field {name}')
+        put(copy, layout.offsets[place], value)
     return copy

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import ClassVar, Literal, Protocol, TypeAlias, runtime_checkable
+from typing import ClassVar, Literal, Protocol, TypeAlias, TypeGuard, runtime_checkable
 
 import numpy as np
 
@@ -83,6 +83,11 @@ class LinearGyroEffect(ABC):
         """Return the contribution at the coefficient values (k,)."""
         columns = self.columns(block)
         return GyroTerm(columns.dot(values), columns)
+
+
+def is_linear(effect: Effect) -> TypeGuard[LinearGyroEffect]:
+    """Return True for a gyro effect whose contribution is that of its columns, and nothing else."""
+    return getattr(type(effect), 'contribute', None) is LinearGyroEffect.contribute
 
 
 class LinearMemoryEffect(ABC):

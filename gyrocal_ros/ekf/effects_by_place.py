@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, CameraIntrinsics, MotionBlock, Mount, changed, quickly_filled
+from gyrocal_ros.effects.base import is_linear
 from gyrocal_ros.ekf.columns import gained, side_by_side
 from gyrocal_ros.ekf.state import YAW
 from gyrocal_ros.kernels import compiled
@@ -212,23 +213,26 @@ def pose_by_lacking(
         rate_rad_s: (N, 3) corrected body rates.
         memories: memories of the effects on the gyro.
     """
-    means = effects.prior_means
-    terms = [
-        effect.contribute(block, means[place], memory)
-        for (effect, place), memory in zip(effects.gyro, memories, strict=True)
-    ]
-    for term in terms:
+    means, parts, kept = effects.prior_means, [], []
+    for (effect, place), memory in zip(effects.gyro, memories, strict=True):
+        if is_linear(effect):
+            parts.append(effect.columns(block))
+            kept.append(memory)
+            continue
+        term = effect.contribute(block, means[place], memory)
+        parts.append(term.by_values)
+        kept.append(term.memory)
         if term.blind is not None:  # there no effect acts
             yaw_gain = np.where(term.blind, 0.0, yaw_gain)
     starts = [place.start for _, place in effects.gyro]
-    by_values = gained(yaw_gain, [term.by_values for term in terms], starts, effects.count)
+    by_values = gained(yaw_gain, parts, starts, effects.count)
     if effects.wheels or effects.ground:
         block = changed(block, rate_rad_s=rate_rad_s)
     for wheel_effect, place in effects.wheels:
         by_values[:3, place] = motion.forward @ wheel_effect.contribute(block, means[place])[1]
     for ground_effect, place in effects.ground:
         by_values[:3, place] = ground_effect.contribute(block, means[place])[1]
-    return by_values, tuple([term.memory for term in terms])
+    return by_values, tuple(kept)
 
 
 def pose_motion(motion: PoseStep, block: MotionBlock) -> PoseMotion:

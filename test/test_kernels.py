@@ -367,6 +367,10 @@ def scores_added(rng: np.random.Generator, count: int) -> Arguments:
     return sums, covariance(rng, c), rng.normal(size=c), 20.0, 30, others + 2
 
 
+def scores_weighted(rng: np.random.Generator, count: int) -> Arguments:
+    return covariance(rng, count), rng.normal(size=count), rng.integers(2, size=count).astype(float)
+
+
 def variances_grown(rng: np.random.Generator, count: int) -> Arguments:
     places = np.sort(rng.choice(2 * count, count, replace=False))
     grown, before = rng.uniform(0.0, 3.0, (2, count))
@@ -532,6 +536,7 @@ MAKERS: tuple[Maker, ...] = (
     scale_changes,
     scaled_noise,
     scores_added,
+    scores_weighted,
     shared_ways,
     shift,
     side_by_side,

@@ -205,10 +205,16 @@ def ids_by_way(state: State, camera_m: Array, least: float) -> tuple[IntArray, I
 
 def weighted_scores(stats: UpdateStats, weights: Array) -> UpdateStats:
     """Return the statistics of an update with the scores of the candidates times weights (c,)."""
-    if stats.information is None or stats.score is None or np.all(weights == 1.0):
+    if stats.information is None or stats.score is None or min(weights.tolist()) == 1.0:
         return stats
-    information = stats.information * (weights[:, None] * weights)
-    return changed(stats, information=information, score=stats.score * weights)
+    information, score = scores_weighted(stats.information, stats.score, weights)
+    return changed(stats, information=information, score=score)
+
+
+@compiled
+def scores_weighted(information: Array, score: Array, weights: Array) -> tuple[Array, Array]:
+    """Return information (c, c) and score (c,) of coefficients times weights (c,)."""
+    return information * (weights[:, None] * weights), score * weights
 
 
 @compiled

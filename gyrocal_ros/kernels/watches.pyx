@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.noise_bank`, `ekf.positive_definite` and `ekf.scale_watch`, which explain the equations."""
+"""Twins of `ekf.known_depth`, `ekf.noise_bank`, `ekf.positive_definite` and `ekf.scale_watch`, which explain the equations."""
 
 from libc.float cimport DBL_MIN
 from libc.math cimport fabs, sqrt
@@ -13,7 +13,7 @@ from gyrocal_ros.kernels.positive_definite cimport invert, whiten
 
 cnp.import_array()
 
-TWINS = ('equations_added', 'scale_changes', 'scores_added', 'solve', 'variances_grown', 'whitener')
+TWINS = ('equations_added', 'scale_changes', 'scores_added', 'scores_weighted', 'solve', 'variances_grown', 'whitener')
 
 cdef double NOT_SEPARABLE = 1e-9
 
@@ -89,6 +89,16 @@ def scores_added(sums, information, score, double nis, double dof, Py_ssize_t fi
         for j in range(p):
             out[CROSS + j] += row[first - p + j]
     return result
+
+
+def scores_weighted(information, score, weights):
+    cdef Array result = copied(doubles(information)), by = copied(doubles(score)), weight = doubles(weights)
+    cdef Py_ssize_t c = length(by), i, j
+    for i in range(c):
+        at(by)[i] *= at(weight)[i]
+        for j in range(c):
+            at(result)[i * c + j] *= at(weight)[i] * at(weight)[j]
+    return result, by
 
 
 def variances_grown(grown, before, expected, places):

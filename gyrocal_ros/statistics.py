@@ -51,11 +51,14 @@ def vuong_sigma(gains: Array, most: float = math.inf) -> float:
             scatter would otherwise hide that they all gain.
 
     Returns:
-        Sum of the gains over its standard deviation by their scatter; 0 where there is no scatter.
+        Sum of the gains over its standard deviation by their scatter; infinite where all blocks gain, or
+        lose, so much that they count no more; 0 where there is no scatter otherwise.
     """
     gains = np.clip(gains, -most, most)
     scatter = float(gains.std(ddof=1)) * math.sqrt(len(gains)) if len(gains) > 1 else 0.0
-    return float(gains.sum()) / scatter if scatter > 0.0 else 0.0
+    if scatter > 0.0:
+        return float(gains.sum()) / scatter
+    return math.copysign(math.inf, gains[0]) if len(gains) > 1 and abs(gains[0]) == most else 0.0
 
 
 def robust_std(values: Array) -> float:

@@ -116,6 +116,12 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
             Severity.WARNING,
         ),
         (
+            WheelSample,
+            lambda s: replace(s, speed_m_s=0.0, yaw_rate_rad_s=0.0),
+            'dead_wheels',
+            Severity.WARNING,
+        ),
+        (
             FeatureObservations,
             lambda s: FeatureObservations(s.t_ns, s.ids[:2], s.pixels[:2]),
             'few_features',

@@ -12,6 +12,7 @@ from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import (
+    SEEN_S,
     STRIDE_S,
     BlindDrift,
     Heading,
@@ -59,6 +60,17 @@ def test_dead_reckoning_is_accurate_with_the_calibrated_gyro_only(run: Run) -> N
     assert heading_deg < 0.5 and position_m < 0.08
     heading_deg, _ = errors([0.0])
     assert heading_deg > 5.0
+
+
+@pytest.mark.slow
+def test_a_span_counts_only_where_something_tells_the_heading_at_its_end() -> None:
+    """In the dark the heading by the filter is that of the gyro, with which it would agree."""
+    source = recording('cleaning', 1, 90.0, camera_hz=5, camera_until_s=50.0)
+    lit = calibrate(source, Config(), default_model())
+    alone, with_truth = blind_drift(replace(lit, truth=None), span_s=20.0), blind_drift(lit, span_s=20.0)
+    assert alone.unseen > 0 == with_truth.unseen
+    assert alone.start_s.max() + 20.0 <= 50.0 + SEEN_S < with_truth.start_s.max() + 20.0
+    assert held_out_from_s(replace(lit, truth=None)) < held_out_from_s(lit)
 
 
 @pytest.mark.slow

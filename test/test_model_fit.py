@@ -13,9 +13,11 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s
 from gyrocal_ros.diagnose.model_fit import ModelFit, drift_by_noise_deg, model_fit
+from gyrocal_ros.diagnose.status import UNSEEN, calibration_status
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.scale_watch import ScaleChange
+from gyrocal_ros.ekf.start import Start
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -54,6 +56,19 @@ def test_a_short_recording_cannot_tell() -> None:
     assert ModelFit((), False).fits is None
     assert ModelFit((), True).fits is True
     assert ModelFit(('too large',), False).fits is False
+
+
+@pytest.mark.slow
+def test_a_calibration_that_no_image_confirms_is_not_green() -> None:
+    """A stored one may be that of another gyro."""
+    scenario = replace(find_scenario('cleaning'), duration_s=100.0, camera_hz=5, camera_until_s=3.0)
+    source = SimSource(scenario, 3)
+    stored = Start(('scale_factor',), np.array([source.truth.scale_factor - 0.96]), np.array([[1e-9]]))
+    run = replace(calibrate(source, Config(), default_model(), stored), truth=None)
+    fit = model_fit(run)
+    assert fit.fits is None and fit.is_unseen and not fit.misfits
+    status = calibration_status(conclude(run), run, fit)
+    assert status.level == 'yellow' and status.sentence.endswith(f'{UNSEEN}.')
 
 
 @pytest.mark.slow

@@ -43,7 +43,7 @@ from gyrocal_ros.diagnose.search_series import (
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
-from gyrocal_ros.diagnose.status import TOO_SHORT, Status, diagnosis_status, missing_sentence
+from gyrocal_ros.diagnose.status import UNJUDGED, Status, diagnosis_status, missing_sentence
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.wander import MAX_MOMENTS, wander
 from gyrocal_ros.effects import default_model, find_effect
@@ -450,7 +450,7 @@ class TestConclusions:
             assert (status.level, status.sentence) == (level, sentence)
             assert bool(status.next_step) == bool(places)
         unjudged = replace(case, verdict='cannot_tell', fit=ModelFit((), is_judged=False))
-        assert diagnosis_status(unjudged) == Status('yellow', TOO_SHORT, RECORD)
+        assert diagnosis_status(unjudged) == Status('yellow', f'{UNJUDGED.capitalize()}.', RECORD)
 
     def test_the_next_step_names_all_effects_found(self, diagnosis: Diagnosis) -> None:
         missing = diagnosis.missing[0]

@@ -11,7 +11,6 @@ from contracts import eventful_block
 from gyrocal_ros.data import ClockStep, TruthSample, nanoseconds
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.run import BLOCK_ROWS, SCALARS, TRUTH_INTERVAL_NS, History, Recorder, step_by_step
-from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
 
@@ -77,13 +76,10 @@ def test_history_has_a_field_for_each_column() -> None:
     assert {field.name for field in fields(History)} == others | SCALARS.keys()
 
 
-@pytest.mark.parametrize(('rate_rad_s', 'resting'), [(0.0, 1), (0.02, 1), (0.5, 0)])
-def test_wheels_at_rest_are_a_rest_where_the_gyro_does_not_turn(rate_rad_s: float, resting: int) -> None:
-    step, bias_rad_s = record(0.0), 0.03
-    mean, rates = step.mean.copy(), np.zeros_like(step.block.rate_rad_s)
-    mean[YAW_BIAS], rates[:, 2] = bias_rad_s, rate_rad_s - bias_rad_s
-    still = replace(step.block, rate_rad_s=rates, wheels_at_rest=True)
-    assert history(replace(step, mean=mean, block=still)).resting.tolist() == [resting]
+@pytest.mark.parametrize(('stats', 'resting'), [(REST, 1), (UpdateStats(), 0)])
+def test_a_rest_is_one_that_the_filter_has_used(stats: UpdateStats, resting: int) -> None:
+    still = replace(record(0.0).block, wheels_at_rest=True)
+    assert history(replace(record(0.0), block=still, resting=stats)).resting.tolist() == [resting]
 
 
 def test_each_field_of_the_history_is_that_of_the_step() -> None:
@@ -112,7 +108,7 @@ def test_each_field_of_the_history_is_that_of_the_step() -> None:
         'distance_m': float(block.distance_m.sum()),
         'temperature_c': float(block.temperature_c[-1]),
         'forward_m_s2': float(block.specific_force_m_s2[:, 0] @ block.dt_s) / 0.06,
-        'resting': 0.0,  # the gyro turns
+        'resting': 1.0,
         'gap_s': 0.04,
         'wheel_turn_rad': float(block.wheel_turn_rad.sum()),
         'scale_change': 0.02,

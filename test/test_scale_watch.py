@@ -12,7 +12,7 @@ from recordings import ModifiedSource, recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source, seconds
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.drift_suspicion import CHANCE_SIGMA, DRIFT_STD, RAMP_S, USUAL_DRIFT_STD, HeadingErrors
 from gyrocal_ros.ekf.scale_watch import (
     CHANGE_SIGMA,
@@ -71,6 +71,20 @@ def test_a_wrong_stored_calibration_is_dropped(wrong_by: float) -> None:
     if abs(wrong_by) > 0.001:
         assert run.history.scale_followed.sum() == 1
         assert any('off what was calibrated before' in event.text for event in run.events)
+
+
+@pytest.mark.slow
+def test_all_coefficients_of_a_stored_calibration_are_dropped_together() -> None:
+    """One of another gyro knows nothing of any of them."""
+    source, default = recording('cleaning', 3, 60.0), default_model()
+    model = replace(default, effects=(*default.effects, find_effect('scale_cubic')))
+    true, cubic, std = source.truth.scale_factor, 0.02, 1e-4
+    names, covariance = ('scale_factor', 'scale_cubic'), std**2 * np.eye(2)
+    start = Start(names, np.array([true - 1.0 + 0.05, cubic]), covariance, START_NS)
+    state = calibrate(source, Config(), model, start, follows_changes=True).state
+    places = slice(COEFFICIENTS_START, COEFFICIENTS_START + 2)
+    errors, stds = state.mean[places] - [true - 1.0, 0.0], np.sqrt(state.covariance.diagonal()[places])
+    assert (np.abs(errors) < 3.0 * stds).all() and stds[1] > std
 
 
 @pytest.mark.slow

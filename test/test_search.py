@@ -280,9 +280,9 @@ class TestSearch:
     @pytest.mark.parametrize(('part', 'is_kept'), [(0.9, False), (-0.9, False), (1.1, True), (-1.1, True)])
     def test_an_effect_that_ends_at_zero_is_not_kept(self, part: float, is_kept: bool) -> None:
         """However much predictive log-likelihood it gains: other coefficients have taken its place."""
-        ends = {'gyro_lag': part * DEFAULT_SETTINGS.nonzero_sigma * STD}
-        fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, ends=ends)
-        (added,) = search(default_model(), AT_REST, fake).additions
+        ends = {'scale_cubic': part * DEFAULT_SETTINGS.nonzero_sigma * STD}
+        fake = FakeFilter({'scale_cubic': 2.0}, {'scale_cubic': 400.0}, ends=ends)
+        added, *_ = search(default_model(), AT_REST, fake).additions
         assert added.predictive_gain == pytest.approx(400.0)
         assert added.is_kept == added.stands_out == is_kept
 
@@ -367,6 +367,12 @@ class TestSearch:
             effect=added.effect, is_kept=False, is_negligible=True, is_momentary=is_momentary
         )
         assert traces([left_out]) == (set() if is_momentary else {'turn_hysteresis'})
+
+    def test_a_noise_is_no_memory(self) -> None:
+        """The size of a walk is far below any time constant."""
+        after: Any = SimpleNamespace(estimate_of=lambda _: (np.array([1e-5]), np.array([1e-7])))
+        added = Addition(find_effect('bias_instability'), None, after, 9.0, 9.0, 0.0, np.zeros(1), NONE)
+        assert not added.is_momentary
 
     @pytest.mark.slow
     @pytest.mark.parametrize(('part', 'inexact', 'is_found'), [(0.5, '', True), (0.5, 'scale_cubic', False)])
@@ -509,10 +515,11 @@ class TestSearch:
     def test_of_two_that_look_alike_the_one_with_an_impossible_sign_gives_way(
         self, lag: float, gain: float, first: str
     ) -> None:
-        """A lag is positive; one that predicts clearly better stays, whatever it stands for."""
+        """A lag is positive; one that predicts clearly better stands for something else, and is left out."""
         fake = FakeFilter({'gyro_lag': lag, 'scale_cubic': 2.0}, {'gyro_lag': gain, 'scale_cubic': 100.0})
         (added,) = search(default_model(), AT_REST, fake, most=1).additions
         assert added.effect.name == first
+        assert added.is_kept == (first == 'scale_cubic' or lag > 0.0)
 
     @pytest.mark.parametrize('size', [2.0, -2.0])
     def test_an_effect_that_would_need_an_impossible_sign_is_not_confused(self, size: float) -> None:

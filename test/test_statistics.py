@@ -101,6 +101,9 @@ def test_a_few_blocks_that_gain_thousands_do_not_hide_what_they_prove() -> None:
     assert vuong_sigma(-gains, 100.0) == -vuong_sigma(gains, 100.0)
     outlier = np.array([-4.0, -7.0, -3.0, 1.0, -10.0, 3.0, 5.0, -2.0, -6.0, 7596.0])
     assert vuong_sigma(outlier, 100.0) < 1.0, 'one block alone is no proof'
+    assert vuong_sigma(np.array([300.0, 900.0, 200.0]), 100.0) == math.inf, 'all of them are'
+    assert vuong_sigma(np.array([-300.0, -900.0]), 100.0) == -math.inf
+    assert vuong_sigma(outlier[-1:], 100.0) == 0.0
 
 
 def test_the_robust_standard_deviation_ignores_outliers() -> None:

@@ -10,10 +10,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from contracts import eventful_block
 from recordings import ModifiedSource, each, recording
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import FeatureObservations, WheelSample
+from gyrocal_ros.data import FeatureObservations, Mount, WheelSample
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import diagnosis_status
@@ -21,7 +22,8 @@ from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
-from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA, WRONG_YAW, turned_camera
+from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA, WRONG_YAW, WayAgreement, turned_camera
+from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
@@ -107,3 +109,47 @@ def test_a_small_error_of_the_mount_is_left_to_effects() -> None:
         FeatureObservations, lambda seen: replace(seen, pixels=(seen.pixels - centre) @ turn.T + centre)
     )
     assert mounting_fault(run) == ''
+
+
+@pytest.mark.parametrize('known_rad_s, is_told', [(0.03, False), (0.0, True)])
+def test_a_bias_of_the_gyro_turns_no_camera(known_rad_s: float, is_told: bool) -> None:
+    """A camera that looks ahead shows a turn as it shows a way to the side."""
+    rng, camera, agreement = np.random.default_rng(5), SOURCE.rig.camera, WayAgreement()
+    assert camera is not None
+    points_w = np.column_stack([rng.uniform(-4.0, 8.0, 900), rng.uniform(-4.0, 4.0, 900), np.full(900, 2.5)])
+    lean = rotation_from_euler(np.array([0.0, math.radians(25.0), 0.0]))
+    mount = Mount(lean @ SOURCE.rig.camera_mount.R_bs, np.zeros(3))
+    for i in range(160):
+        block = replace(
+            eventful_block(),
+            start_ns=i * 10**8,
+            end_ns=(i + 1) * 10**8,
+            dt_s=np.array([0.1]),
+            rate_rad_s=np.array([[0.0, 0.0, -0.03]]),
+            distance_m=np.array([0.02]),
+        )
+        agreement.move(block, known_rad_s)
+        points_c = (points_w - [0.02 * (i + 1), 0.0, 0.0]) @ mount.R_bs
+        pixels, _ = project_with_jacobian(camera, points_c)
+        seen = (points_c[:, 2] > 0.5) & (pixels > 0.0).all(axis=1)
+        seen &= (pixels < [camera.width_px, camera.height_px]).all(axis=1)
+        ids = np.flatnonzero(seen)
+        agreement.event(FeatureObservations(block.end_ns, ids, pixels[ids]), camera, mount)
+    assert (WRONG_YAW in agreement.finding) == is_told
+
+
+@pytest.mark.slow
+def test_a_diagnosis_tells_a_wrong_yaw_and_judges_neither_camera_nor_wheels() -> None:
+    rig = SOURCE.rig
+    turn = rotation_from_euler(np.array([0.0, 0.0, math.radians(8.0)]))
+    mount = replace(rig.camera_mount, R_bs=turn @ rig.camera_mount.R_bs)
+    source = ModifiedSource(SOURCE, iter, replace(rig, camera_mount=mount))
+
+    def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        return calibrate(source, Config(), model, candidates=candidates)
+
+    recorded = summarise_recording(source)
+    found = diagnose(find_missing(default_model(), recorded, run), recorded)
+    status = diagnosis_status(found)
+    assert found.verdict == 'cannot_tell' and WRONG_YAW in found.wrong_yaw
+    assert status.level != 'green' and 'Neither camera nor wheels can be judged' in status.sentence

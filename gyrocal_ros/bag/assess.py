@@ -45,6 +45,8 @@ MAX_REFERENCE_RATIO, MIN_REFERENCE_CORRELATION = 2.0, 0.7
 of the correlation the sign is reversed."""
 MAX_TURN_DELAY_S, DELAY_SIGMA = 0.1, 3.0
 """Delay of the turns of the wheels that is too long, by some of its standard deviations."""
+TURNED_RAD = math.pi / 2.0
+"""Total turn of the gyro from which a robot has driven."""
 MIN_FEATURES = 4.0
 """Minimum of the mean number of features per image."""
 AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the axes in its driver or firmware'
@@ -76,6 +78,10 @@ def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
     if wheels in stamped:
         for imu in imus:
             yield from _delay_issues(wheels, imu, bag)
+    turned_rad = (sum(map(abs, bag.imus[imu.topic.name].turns.left_right_rad)) for imu in imus)
+    if wheels and not bag.wheels_move and max(turned_rad, default=0.0) > TURNED_RAD:
+        text = 'the encoders read zero throughout, though the gyro turns'
+        yield _issue(wheels, WARNING, 'dead_wheels', text, 'check their wires and their driver')
     if wheels and (count := bag.wheels.spikes):
         noun = 'speed is' if count == 1 else 'speeds are'
         text = f'{count} {noun} far from those before and after'

@@ -89,6 +89,8 @@ class BagScan:
     """Turns by wheels and by heading reference."""
     wheels: FaultyWheels = field(default_factory=FaultyWheels)
     """Readings of the encoders that the filter replaces."""
+    wheels_move: bool = False
+    """True if any reading of the encoders is not zero."""
     feature_count: int = 0
     """Number of features in all images together."""
     _by_topic: dict[str, list[TopicScan]] = field(default_factory=lambda: defaultdict(list))
@@ -184,8 +186,9 @@ def _wheel_handler(scan: BagScan) -> BlockHandler:
 
     def handle(stamps_ns: IntArray, numbers: Array) -> None:
         turns.add(stamps_ns, numbers[:, 1])
-        for t_ns, motion in zip(stamps_ns.tolist(), numbers.tolist(), strict=True):
-            scan.wheels.sound([WheelSample(t_ns, *motion)])
+        scan.wheels_move |= bool(numbers.any())
+        readings = zip(stamps_ns.tolist(), numbers.tolist(), strict=True)
+        scan.wheels.sound([WheelSample(t_ns, *motion) for t_ns, motion in readings])
 
     return handle
 

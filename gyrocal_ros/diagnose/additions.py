@@ -29,6 +29,10 @@ KNOWN_PART = 0.5
 """Standard deviation of an effect, as a part of its size, from which the filter has learned what it is."""
 
 
+IMPOSSIBLE_SIGN = 'it has a sign that no sensor has: it stands for something else'
+"""Objection to an effect."""
+
+
 @dataclass(frozen=True, eq=False)
 class Addition:
     """An effect that was added to the model."""
@@ -106,7 +110,7 @@ class Addition:
     def is_momentary(self) -> bool:
         """True if its memory has shrunk to nothing: what it stands for goes with the motion of the moment."""
         place = scanned_coefficient(self.effect)
-        if place is None:
+        if place is None or self.effect.coefficients[place].unit != 's':
             return False
         values, stds = self.after.estimate_of(self.effect.name)
         shortest = self.effect.coefficients[place].scan[0]

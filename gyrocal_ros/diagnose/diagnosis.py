@@ -33,6 +33,7 @@ from gyrocal_ros.effects.traits import (
     shows_in_any_turns,
     why_unobservable,
 )
+from gyrocal_ros.ekf.way_agreement import wrong_yaw
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
@@ -104,6 +105,8 @@ class Diagnosis:
     """Limits that the readings suggest, not yet confirmed by a run."""
     uneven: str = ''
     """Effect that would explain much, but not in all stretches alike: something else is missing."""
+    wrong_yaw: str = ''
+    """Clause on a camera whose yaw in its transform is wrong: neither camera nor wheels can be judged."""
     is_open: bool = False
     """True where no missing effect has been added yet: fit and structure are those of the model without."""
 
@@ -183,6 +186,9 @@ def _conclude(
         not_judged.pop(uneven.effect.name, None)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
+    yaw = next(filter(None, (wrong_yaw(event.text) for event in last.run.events)), '')
+    if yaw and all(item.effect.acts_on in ('camera', 'wheels', 'ground') for item in missing):
+        verdict = 'cannot_tell' if verdict in ('nothing_missing', 'effect_found') else verdict
     is_complete = verdict == 'nothing_missing'
     if is_complete:
         timing = timing or stamp_jitter(last.run)
@@ -198,6 +204,7 @@ def _conclude(
         timing=timing,
         coarse_step_rad_s=coarse_step_rad_s,
         uneven='' if uneven is None else uneven.effect.name,
+        wrong_yaw=yaw,
     )
 
 

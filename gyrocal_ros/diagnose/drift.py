@@ -13,8 +13,9 @@ from gyrocal_ros.ekf.state import YAW, YAW_BIAS
 from gyrocal_ros.model.planar import planar_trajectory
 from gyrocal_ros.statistics import chi_square_quantile, trigamma
 
+TRUTH = 'ground truth'
 REFERENCES = {
-    'ground truth': 'the ground truth',
+    TRUTH: 'the ground truth',
     'slam': 'the heading by SLAM',
     'heading reference': 'the filtered heading reference',
 }
@@ -25,6 +26,9 @@ STRIDE_S = 5.0
 """Distance of the beginnings of spans."""
 SETTLING_S = 10.0
 """Earliest beginning of a span: before, the gyro is hardly calibrated."""
+SEEN_S = 2.0
+"""Longest time without an image or a heading up to which the filter's own heading is a reference: later it is
+that of the gyro itself."""
 MIN_INDEPENDENT = 2.0
 """Minimum number of independent spans for an upper end of the interval."""
 TAIL = 0.05
@@ -42,6 +46,8 @@ class BlindDrift:
     """(n,) heading by the gyro less heading by the reference, at the end of each span."""
     reference: str
     """One of `REFERENCES`."""
+    unseen: int = 0
+    """Number of spans left out because neither images nor headings tell the heading at their end."""
 
     @property
     def rms_deg(self) -> float:
@@ -137,7 +143,7 @@ def reference_heading(run: Run) -> tuple[Heading, str]:
     """Return the heading to compare with, and its name in `REFERENCES`."""
     truth = truth_heading(run)
     if truth is not None:
-        return truth, 'ground truth'
+        return truth, TRUTH
     slam = slam_path(run)
     return Heading(slam.time_s, slam.yaw_rad), 'slam' if run.rig.camera is not None else 'heading reference'
 
@@ -200,7 +206,8 @@ def blind_drift(
 
     A span starts with the filter's heading, bias and coefficients of that moment, so nothing was fitted on
     what follows. Then the gyro is alone, except at rest, where the robot knows that it does not turn. Spans
-    with missing IMU samples do not count.
+    with missing IMU samples do not count, nor do those at whose end the run's own heading is that of the
+    gyro.
 
     Args:
         run: a finished run.
@@ -224,7 +231,9 @@ def blind_drift(
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
     gap_s = np.cumsum(history.gap_s)
     whole = gap_s[last] == gap_s[first]
-    start_s, first, last = start_s[whole], first[whole], last[whole]
+    seen = time_s[last] - last_seen_s(history)[last] <= SEEN_S if name != TRUTH else np.ones_like(whole)
+    counts, unseen = whole & seen, int(np.count_nonzero(whole & ~seen))
+    start_s, first, last = start_s[counts], first[counts], last[counts]
     known, bias = history.coefficients[first], history.mean[first, YAW_BIAS]
     if coefficients is not None:
         bias = bias - np.sum(_rate_at_rest(history)[first] * (coefficients - known), axis=1)
@@ -233,7 +242,14 @@ def blind_drift(
     by_gyro += np.sum((columns[last] - columns[first]) * known, axis=1)
     by_gyro += bias * (gyro_valid_s[last] - gyro_valid_s[first])
     heading = np.interp(time_s, compared.time_s, compared.yaw_rad)
-    return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name)
+    return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name, unseen)
+
+
+def last_seen_s(history: History) -> Array:
+    """Return the time (s,) at which an image or a heading last told the heading; -inf before the first."""
+    tells = (history.in_view > history.rejected) | (history.dof > 0)
+    latest: Array = np.maximum.accumulate(np.where(tells, history.time_s, -np.inf))
+    return latest
 
 
 def _rate_at_rest(history: History) -> Array:
@@ -252,10 +268,12 @@ def _rate_at_rest(history: History) -> Array:
 def held_out_from_s(run: Run) -> float:
     """Return the beginning of the held-out spans: the second half, or earlier in a short run.
 
-    Before a change of the scale factor that the filter followed, another one was believed.
+    Before a change of the scale factor that the filter followed, another one was believed. Without ground
+    truth nothing tells the heading once the images have ended.
     """
     history = run.history
-    end_s, followed = float(history.time_s[-1]), history.scale_followed.nonzero()[0]
+    end_s = float(history.time_s[-1] if run.truth is not None else max(last_seen_s(history)[-1], 0.0))
+    followed = history.scale_followed.nonzero()[0]
     changed_s = float(history.time_s[followed[-1]]) if len(followed) else 0.0
     return max(SETTLING_S, changed_s, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
 

@@ -41,6 +41,8 @@ class ModelFit:
     """Held-out blind drift, rms."""
     mounting: str = ''
     """Sensor that is mounted or wired wrongly, one of the contradictions; empty without."""
+    is_unseen: bool = False
+    """True if it is long enough, but no image or heading tells where the gyro alone would have led."""
 
     @property
     def fits(self) -> bool | None:
@@ -57,7 +59,8 @@ def model_fit(run: Run) -> ModelFit:
     mounting, others = mounting_fault(run), _misfits(run, scatter, drift.rms_deg, by_noise_deg)
     misfits = tuple(filter(None, (mounting, *others)))
     ratio = drift.rms_deg / by_noise_deg if by_noise_deg else math.nan
-    return ModelFit(misfits, is_judged, ratio, drift.rms_deg, mounting)
+    is_unseen = drift.unseen > 0 and not len(drift.error_rad)
+    return ModelFit(misfits, is_judged, ratio, drift.rms_deg, mounting, is_unseen)
 
 
 def excess_nis(run: Run) -> float:

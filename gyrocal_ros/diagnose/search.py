@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import NONE, Addition, Search, objection_to_uneven
+from gyrocal_ros.diagnose.additions import IMPOSSIBLE_SIGN, NONE, Addition, Search, objection_to_uneven
 from gyrocal_ros.diagnose.examined import (
     Calibrate,
     ExaminedModel,
@@ -348,7 +348,7 @@ def _contested(
 
     To first order the wrong effect may look like the true one, and even a little better; not in a run. Where
     a few moments make the run better, it says nothing: then both stay indistinguishable. One with a sign that
-    is impossible gives way to one that is nearly as good.
+    is impossible gives way to one that is nearly as good; without one it is rejected.
     """
     if last.before is None:
         return last
@@ -366,7 +366,8 @@ def _contested(
         if item.is_kept and vuong_sigma(gains) > settings.rival_sigma and gains.sum() > best_gain:
             best, best_gain = item, float(gains.sum())
     if best.is_impossible:
-        best = next((item for item in additions if _is_as_good(item, best)), best)
+        impossible = replace(best, objection=IMPOSSIBLE_SIGN)
+        best = next((item for item in additions if _is_as_good(item, best)), impossible)
     outperformed = (
         item.effect.name
         for item in additions

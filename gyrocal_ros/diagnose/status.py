@@ -40,7 +40,7 @@ CANNOT_TELL = (
 DOES_NOT_FIT = 'the model does not fit this recording.'
 """The last words on a calibration that its own recording contradicts."""
 UNJUDGED = 'the recording is too short to judge the model, or has too many gaps'
-TOO_SHORT = f'{UNJUDGED[0].upper()}{UNJUDGED[1:]}.'
+UNSEEN = 'too few images or headings confirm the model'
 REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 ADD_NOISE = 'Add it with `gyrocal add` where right standard deviations count more than drift without images.'
@@ -59,6 +59,7 @@ FIND_NOISE = (
     'Trust the heading only while the camera sees the ceiling; look for what disturbs the gyro, and turn '
     'more slowly if it has a limit.'
 )
+MEND_YAW = 'Subtract that from the yaw of the camera in its transform, and record again.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
 
 
@@ -124,11 +125,16 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
     if fault:
         return Status('yellow', f'{sentence}, but {fault}.', remedy)
     if fit.fits is None:
-        return Status('yellow', f'{sentence}, but {UNJUDGED}.', RECORD)
+        return Status('yellow', f'{sentence}, but {_why_unjudged(fit)}.', RECORD)
     if fit.drift_deg > LARGE_DRIFT_DEG:
         drifts = f'the heading drifts by {fit.drift_deg:.1f} deg in {SPAN_S:.0f} s without the camera'
         return Status('yellow', f'{sentence}, but {drifts}, which its noise and limits explain.', FIND_NOISE)
     return Status('green', f'{sentence}.')
+
+
+def _why_unjudged(fit: ModelFit) -> str:
+    """Return why a recording cannot tell whether the model fits, as a clause."""
+    return UNSEEN if fit.is_unseen else UNJUDGED
 
 
 def _camera_fault(run: Run) -> tuple[str, str]:
@@ -155,6 +161,19 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
         return Status('red', sentence, _sentence(remedy))
     if diagnosis.timing is not None:
         return _timing_status(diagnosis.timing)
+    status = _status_of_effects(diagnosis, steps)
+    return _with_wrong_yaw(status, diagnosis) if diagnosis.wrong_yaw else status
+
+
+def _with_wrong_yaw(status: Status, diagnosis: Diagnosis) -> Status:
+    """Return a status that tells of the wrong yaw of the camera first."""
+    fault = f'{_sentence(diagnosis.wrong_yaw)} Neither camera nor wheels can be judged until that is mended.'
+    level: Level = 'yellow' if status.level == 'green' else status.level
+    is_all = diagnosis.verdict == 'cannot_tell' and not diagnosis.missing and diagnosis.fit.fits is not False
+    return Status(level, fault if is_all else f'{fault} {status.sentence}', MEND_YAW)
+
+
+def _status_of_effects(diagnosis: Diagnosis, steps: NextSteps) -> Status:
     sentence = _diagnosis_sentence(diagnosis)
     if diagnosis.verdict == 'nothing_missing':
         return Status('yellow', sentence, REPEAT) if diagnosis.fails_where else Status('green', sentence)
@@ -206,7 +225,7 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
         )
     if diagnosis.verdict == 'noise':
         return f'Only noise: the gyro is noisier than the settings say ({join([*missing])}); no law is left.'
-    otherwise = CANNOT_TELL if diagnosis.fit.fits is not None else TOO_SHORT
+    otherwise = CANNOT_TELL if diagnosis.fit.fits is not None else _sentence(_why_unjudged(diagnosis.fit))
     if diagnosis.verdict == 'nothing_missing':
         otherwise = _nothing_missing(len(diagnosis.fails_where))
     elif diagnosis.limits:

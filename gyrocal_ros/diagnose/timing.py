@@ -25,7 +25,7 @@ from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 
 TURNING_RAD_S, STRAIGHT_RAD_S = math.radians(20.0), math.radians(3.0)
 """Rates above and below which the innovations of turns and of straight lanes are compared."""
-CHANGES_NIS_RATIO, JITTERS_NIS_RATIO = 1.8, 3.0
+CHANGES_NIS_RATIO, JITTERS_NIS_RATIO = 1.2, 3.0
 """NIS in turns, relative to that on straight lanes, from which the offset of the stamps may change, and from
 which they may jitter."""
 MIN_CHANGE_S = 0.005

@@ -18,7 +18,7 @@ from gyrocal_ros.ekf.drift_suspicion import DRIFT_STD, USUAL_DRIFT_STD, HeadingE
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.noise_bank import NoiseBank
 from gyrocal_ros.ekf.scale_watch import ScaleChange, ScaleWatch
-from gyrocal_ros.ekf.state import SCALE, YAW, State
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW, State, with_further_errors
 from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import UpdateStats
 
@@ -78,7 +78,7 @@ class CalibrationWatch:
         )
         self._noise = NoiseBank(state) if heading is None else None  # beside a heading the filter learns it
         self._told_walk = 1.0
-        self._follows_changes = follows_changes
+        self._follows_changes, self._is_stored = follows_changes, is_stored
         self._has_told, self.finding = False, ''
         """What is wrong with the camera or the heading reference; empty where nothing is."""
 
@@ -127,6 +127,8 @@ class CalibrationWatch:
         follows, events = self._follows_changes and self._scale.is_settled and is_possible, []
         if change is not None and follows:
             state = self._scale.follow(state, change)
+            if self._is_stored and change.was_calibrated:
+                state = self._without_stored(state)
             if camera is not None:
                 camera.restart()
             if self._noise is not None:
@@ -143,6 +145,16 @@ class CalibrationWatch:
             self._has_told = True
         state = self._scale.renew(state, duration_s)
         return state, Suspicions(std, change, follows, '; '.join(events))
+
+    def _without_stored(self, state: State) -> State:
+        """Return the state where nothing is known of the coefficients, if there are several.
+
+        The others are of the same earlier calibration as the scale factor that is dropped, perhaps of another
+        gyro. What was learned of the scale factor beside them is as wrong as they are.
+        """
+        self._is_stored = False
+        places = np.arange(COEFFICIENTS_START, state.robot_size)
+        return with_further_errors(state, places, self._unknown_std[SCALE:]) if len(places) > 1 else state
 
     def _with_time_offset(self, state: State, camera: CameraWatch, measured_s: float) -> State:
         """Return the state where the time between images and gyro is followed; tests go on from there."""

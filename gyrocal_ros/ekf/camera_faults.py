@@ -14,6 +14,7 @@ from gyrocal_ros.effects.camera_time_offset import CameraTimeOffset
 from gyrocal_ros.effects.principal_point import PrincipalPoint
 from gyrocal_ros.effects.radial_distortion import RadialDistortion
 from gyrocal_ros.effects.rolling_shutter import RollingShutter
+from gyrocal_ros.ekf.way_agreement import WRONG_YAW
 from gyrocal_ros.model.sensor import Effect
 
 LENS, TILT, CENTRE = 'the distortion in camera_info', 'the camera looks', 'the principal point in camera_info'
@@ -87,7 +88,7 @@ def camera_fault(event: str) -> tuple[str, str]:
 
     Both are empty where there is none.
     """
-    starts = [event.find(first_words) for first_words in (LENS, TILT, CENTRE, SHUTTER, TIME)]
+    starts = [event.find(first_words) for first_words in (LENS, TILT, CENTRE, SHUTTER, TIME, WRONG_YAW)]
     found = [start for start in starts if start >= 0]
     if not found:
         return '', ''

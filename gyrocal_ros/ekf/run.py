@@ -109,18 +109,6 @@ class History:
         return float(turn[left].sum()), -float(turn[right].sum())
 
 
-TURNING_RAD_S = math.radians(2.0)
-"""Rate beside the bias from which the robot turns, whatever the encoders say."""
-
-
-def _is_resting(step: StepRecord) -> bool:
-    block = step.block
-    if not block.wheels_at_rest:
-        return False
-    turned_rad = float(block.rate_rad_s[:, 2] @ block.dt_s) + step.mean[YAW_BIAS] * block.duration_s
-    return bool(abs(turned_rad) < TURNING_RAD_S * block.duration_s)
-
-
 SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'nis': lambda step: step.update.stats.nis,
     'dof': lambda step: step.update.stats.dof,
@@ -148,7 +136,7 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'forward_m_s2': lambda step: (
         float(step.block.specific_force_m_s2[:, 0] @ step.block.dt_s) / step.block.duration_s
     ),
-    'resting': _is_resting,
+    'resting': lambda step: step.resting.dof > 0,
     'gap_s': lambda step: step.block.gap_s,
     'wheel_turn_rad': lambda step: step.block.wheel_turn_rad.sum(),
     'scale_change': lambda step: step.scale_change,

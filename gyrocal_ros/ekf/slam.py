@@ -143,7 +143,7 @@ class EkfSlam:
         is_at_rest = self._rest.is_at_rest(block, self.config.rest.settle_s)
         if self._levelling is None:
             self._frozen.move(block)
-            self._way.move(block)
+            self._way.move(block, float(before.mean[YAW_BIAS]))
         else:
             self._heading.move(block, self._rest_noise.density_rad_s if is_at_rest else None)
 

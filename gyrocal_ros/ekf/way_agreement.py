@@ -42,7 +42,8 @@ WRONG_YAW = 'the yaw of the camera in its transform is'
 class WayAgreement:
     """Compares pairs of images on straight lanes, until enough of them have told the direction.
 
-    The pose is that by gyro and wheels: a wrong mount spoils that by the filter.
+    The way is that by the wheels: a wrong mount spoils that by the filter. The turn is that by the gyro,
+    whose bias has to be known: the images of a tilted camera shift by a turn as they do by a way.
     """
 
     def __init__(self) -> None:
@@ -52,11 +53,11 @@ class WayAgreement:
         self._lanes, self._sum = 0, 0.0j
         self._has_told = False
 
-    def move(self, block: MotionBlock) -> None:
-        """Add the motion of a block."""
+    def move(self, block: MotionBlock, bias_rad_s: float) -> None:
+        """Add the motion of a block, given the bias of the yaw gyro."""
         way_m, turn_rad, *_ = block.way_and_turn()
         self._way_m += way_m
-        self._turn_rad += turn_rad
+        self._turn_rad += turn_rad + bias_rad_s * block.duration_s
 
     def event(self, seen: FeatureObservations, camera: CameraIntrinsics, mount: Mount) -> str:
         """Take the features of an image; return what is wrong, once; empty otherwise."""
@@ -112,6 +113,12 @@ def turned_camera(event: str) -> str:
     """Return what the text of an event, which may tell others as well, says of the way; empty for nothing."""
     _, is_told, rest = event.partition(TURNED_CAMERA)
     return f'{TURNED_CAMERA}{rest.partition(REMEDY)[0]}{REMEDY}' if is_told else ''
+
+
+def wrong_yaw(event: str) -> str:
+    """Return what the text of an event, which may tell others as well, says of the yaw; empty for nothing."""
+    _, is_told, rest = event.partition(WRONG_YAW)
+    return f'{WRONG_YAW}{rest.partition(";")[0]}' if is_told else ''
 
 
 def _levelled(pixels: Array, camera: CameraIntrinsics, mount: Mount) -> Array:

@@ -35,8 +35,7 @@ from gyrocal_ros.model.sensor import SensorModel, with_means
 MIN_GAIN = 25.0
 """Log-likelihood that a noise, or a law beside it, has to gain: many are tried."""
 JUMP_PART = 0.7
-"""Part of the gain of a noise above which a single jump of the bias is preferred to it; of a noise that no
-gyro has, also any law with which a run gains so much."""
+"""Part of the gain of a noise above which a single jump of the bias is preferred to it."""
 LAW_PART = 0.45
 """Part of the gain of a noise that no gyro has above which what the bias or the scale follows is preferred to
 it: the signal need not explain all to be the cause."""
@@ -217,12 +216,10 @@ def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, c
 def _is_better(rival: Addition, found: Addition) -> bool:
     """Return True if a rival predicts better than a noise, or is kept and the robot drifts clearly less.
 
-    A jump explains one moment with one number, where the noise follows whatever else there is; and a noise
-    that no gyro has stands for a law.
+    A jump explains one moment with one number, where the noise follows whatever else there is.
     """
     drifts_less = better_sigma(*drift_of_both(found.after.run, rival.after.run)) > CLEARLY_LESS_SIGMA
-    is_odd = is_unusual(found.effect, found.effect.coefficients[0].prior_mean)
-    part = JUMP_PART if is_odd or isinstance(rival.effect, Step) else 1.0
+    part = JUMP_PART if isinstance(rival.effect, Step) else 1.0
     return (rival.is_kept and drifts_less) or rival.predictive_gain >= part * found.predictive_gain
 
 

@@ -158,16 +158,17 @@ def uneven_explanation(
     """Return the effect that gains most by the filter's own S, though its scatter says that it may be chance.
 
     None where no effect gains that much. Effects with a scan are left out: whatever their time constant, one
-    of many explains chance well.
-
-    Args:
-        ranked: ranked effects.
-        tried: names of effects to leave out.
-        settings: thresholds.
+    of many explains chance well. Those of the camera have to be strong: slow errors of images look like them.
+    The arguments are those of `uneven_gyro_effect`.
     """
     untried = [item for item in ranked if item.effect.name not in tried and item.profile is None]
     uneven = [item for item in untried if not item.is_significant and item.merit > settings.significant_gain]
+    uneven = [item for item in uneven if item.effect.acts_on != 'camera' or _is_strong(item, settings)]
     return max(uneven, key=lambda item: item.merit, default=None)
+
+
+def _is_strong(item: RankedEffect, settings: DiagnosisSettings) -> bool:
+    return item.merit > settings.uneven_view_gain and item.fit.sigma > settings.uneven_sigma
 
 
 def uneven_gyro_effect(
@@ -213,8 +214,7 @@ def uneven_first_effect(
         tried: names of effects to leave out.
         settings: thresholds.
     """
-    least = settings.uneven_sigma
-    strong = [item for item in ranked if item.merit > settings.uneven_view_gain and item.fit.sigma > least]
+    strong = [item for item in ranked if _is_strong(item, settings)]
     of_gyro = uneven_gyro_effect(ranked, tried, settings)
     return uneven_explanation(strong, tried, settings) if of_gyro is None else of_gyro
 

@@ -14,7 +14,7 @@ from typing import Literal, TypeAlias
 from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
-from gyrocal_ros.diagnose.drift import SPAN_S
+from gyrocal_ros.diagnose.drift import SPAN_S, held_out_from_s
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement, change_in_words
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
@@ -124,9 +124,10 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         return Status('yellow', sentence, f'Record turns to the {other}, too.')
     if fault:
         return Status('yellow', f'{sentence}, but {fault}.', remedy)
-    if fit.fits is None:
+    is_large = fit.drift_deg > LARGE_DRIFT_DEG
+    if fit.fits is None or (is_large and held_out_from_s(run) < converged_s):  # its spans began before
         return Status('yellow', f'{sentence}, but {_why_unjudged(fit)}.', RECORD)
-    if fit.drift_deg > LARGE_DRIFT_DEG:
+    if is_large:
         drifts = f'the heading drifts by {fit.drift_deg:.1f} deg in {SPAN_S:.0f} s without the camera'
         return Status('yellow', f'{sentence}, but {drifts}, which its noise and limits explain.', FIND_NOISE)
     return Status('green', f'{sentence}.')

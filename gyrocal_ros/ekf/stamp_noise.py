@@ -23,7 +23,7 @@ MAX_STD_S = 0.03
 """Largest noise of stamps; what exceeds it is no noise."""
 TELLING_STD_S = 0.002
 """Standard deviation up to which an image tells the error of its stamp, if it had no noise."""
-FEW = 12
+FEW = 10
 """Number of second differences, with the prior, from which they tell the noise. A few small ones by chance
 made the stamps exact for the rest of the first turn, and the scale factor seemed to change in the next."""
 MEMORY = 60
@@ -83,12 +83,13 @@ class StampNoise:
         by_stamp_rad2 = sum(weight * item.by_stamp_rad2 for weight, item in weighted)
         square = (first - 2.0 * middle + last) ** 2
         self._differences.append((square / by_stamp_rad2, known_rad2 / by_stamp_rad2))
-        if len(self._differences) < FEW:
-            return
         squares, known = map(median, zip(*self._differences, strict=True))
         excess_s2 = squares / MEDIAN - known
-        self.std_s = min(math.sqrt(excess_s2), MAX_STD_S) if excess_s2 > CLEAR * known else 0.0
-        self.learned_s = self.std_s
+        std_s = min(math.sqrt(excess_s2), MAX_STD_S) if excess_s2 > CLEAR * known else 0.0
+        if len(self._differences) < FEW:
+            self.std_s = max(std_s, PRIOR_STD_S)
+        else:
+            self.std_s = self.learned_s = std_s
 
 
 def stamp_error(by_pose: Array, rate: Array, residual: Array, whitening: Array) -> StampError | None:

@@ -81,7 +81,15 @@ FORMS: tuple[Form, ...] = (
     Form('cube', 'x**3', (lambda x, p: x**3,)),
     Form('absolute value', 'np.abs(x)', (lambda x, p: np.abs(x),), is_about_zero=True),
     Form('parabola', 'x, x**2', (lambda x, p: x, lambda x, p: x**2)),
-    Form('hinge', 'np.maximum(x - p, 0.0)', (lambda x, p: np.maximum(x - p, 0.0),), _inside),
+    Form('hinge', 'np.maximum(x - p, 0.0)', (lambda x, p: np.maximum(x - p, 0.0),), _inside, not_of=(RATE,)),
+    # Of the rate, it is zero about rest: elsewhere bias and scale factor would not be those of slow turns.
+    Form(
+        'hinge away from zero',
+        'np.sign(p) * np.maximum(np.sign(p) * x - np.abs(p), 0.0)',
+        (lambda x, p: np.sign(p) * np.maximum(np.sign(p) * x - np.abs(p), 0.0),),
+        _inside,
+        is_about_zero=True,
+    ),
     Form(
         'line with a kink',
         'x, np.maximum(x - p, 0.0)',

@@ -6,7 +6,9 @@ import math
 import re
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -17,7 +19,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Mount, WheelSample
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.status import diagnosis_status
+from gyrocal_ros.diagnose.status import MEND_YAW, Status, diagnosis_status, improvement_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.run import Run
@@ -139,7 +141,9 @@ def test_a_bias_of_the_gyro_turns_no_camera(known_rad_s: float, is_told: bool) -
 
 
 @pytest.mark.slow
-def test_a_diagnosis_tells_a_wrong_yaw_and_judges_neither_camera_nor_wheels() -> None:
+def test_a_diagnosis_tells_a_wrong_yaw_and_judges_neither_camera_nor_wheels(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     rig = SOURCE.rig
     turn = rotation_from_euler(np.array([0.0, 0.0, math.radians(8.0)]))
     mount = replace(rig.camera_mount, R_bs=turn @ rig.camera_mount.R_bs)
@@ -153,3 +157,10 @@ def test_a_diagnosis_tells_a_wrong_yaw_and_judges_neither_camera_nor_wheels() ->
     status = diagnosis_status(found)
     assert found.verdict == 'cannot_tell' and WRONG_YAW in found.wrong_yaw
     assert status.level != 'green' and 'Neither camera nor wheels can be judged' in status.sentence
+    examined = SimpleNamespace(run=run(default_model(), ()))
+    nothing = Mock(revisions=(), kept=(), harmful=(), final=Mock(examined=examined))
+    of_revisions = 'gyrocal_ros.diagnose.status._status_of_revisions'
+    monkeypatch.setattr(of_revisions, lambda improved: Status('green', 'Nothing was added.'))
+    improved = improvement_status(nothing)
+    assert (improved.level, improved.next_step) == ('yellow', MEND_YAW)
+    assert WRONG_YAW[1:] in improved.sentence and improved.sentence.endswith('mended. Nothing was added.')

@@ -33,7 +33,7 @@ from gyrocal_ros.effects.traits import (
     shows_in_any_turns,
     why_unobservable,
 )
-from gyrocal_ros.ekf.way_agreement import wrong_yaw
+from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
@@ -186,7 +186,7 @@ def _conclude(
         not_judged.pop(uneven.effect.name, None)
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
-    yaw = next(filter(None, (wrong_yaw(event.text) for event in last.run.events)), '')
+    yaw = camera_yaw_fault(last.run)
     if yaw and all(item.effect.acts_on in ('camera', 'wheels', 'ground') for item in missing):
         verdict = 'cannot_tell' if verdict in ('nothing_missing', 'effect_found') else verdict
     is_complete = verdict == 'nothing_missing'

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 import shlex
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join
@@ -23,6 +23,7 @@ from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.effects.traits import holds_once
 from gyrocal_ros.ekf.camera_faults import camera_fault
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration
 
@@ -163,15 +164,19 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
     if diagnosis.timing is not None:
         return _timing_status(diagnosis.timing)
     status = _status_of_effects(diagnosis, steps)
-    return _with_wrong_yaw(status, diagnosis) if diagnosis.wrong_yaw else status
-
-
-def _with_wrong_yaw(status: Status, diagnosis: Diagnosis) -> Status:
-    """Return a status that tells of the wrong yaw of the camera first."""
-    fault = f'{_sentence(diagnosis.wrong_yaw)} Neither camera nor wheels can be judged until that is mended.'
-    level: Level = 'yellow' if status.level == 'green' else status.level
     is_all = diagnosis.verdict == 'cannot_tell' and not diagnosis.missing and diagnosis.fit.fits is not False
-    return Status(level, fault if is_all else f'{fault} {status.sentence}', MEND_YAW)
+    if diagnosis.wrong_yaw and is_all:  # the yaw is why
+        status = replace(status, sentence='')
+    return _with_wrong_yaw(status, diagnosis.wrong_yaw)
+
+
+def _with_wrong_yaw(status: Status, fault: str) -> Status:
+    """Return a status that tells of a wrong yaw of the camera first; the status itself without."""
+    if not fault:
+        return status
+    told = f'{_sentence(fault)} Neither camera nor wheels can be judged until that is mended.'
+    level: Level = 'yellow' if status.level == 'green' else status.level
+    return Status(level, f'{told} {status.sentence}'.rstrip(), MEND_YAW)
 
 
 def _status_of_effects(diagnosis: Diagnosis, steps: NextSteps) -> Status:
@@ -274,6 +279,10 @@ def missing_sentence(
 
 def improvement_status(improved: Improvement) -> Status:
     """Return what was added to a model, and whether the error fell by more than chance."""
+    return _with_wrong_yaw(_status_of_revisions(improved), camera_yaw_fault(improved.final.examined.run))
+
+
+def _status_of_revisions(improved: Improvement) -> Status:
     names = [revision.effect.name for revision in improved.kept if revision.effect is not None]
     added = f'Added {join(names)}' if names else 'Nothing was added'
     timing = timing_fault(improved.final.examined)

@@ -11,7 +11,7 @@ import math
 from gyrocal_ros.ekf.convergence import is_plausible
 from gyrocal_ros.ekf.run import History, Run, step_by_step
 from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.ekf.way_agreement import turned_camera
+from gyrocal_ros.ekf.way_agreement import turned_camera, wrong_yaw
 
 INTERVAL_S = 0.5
 """Time over which turns are added up: in that of an image the noise of the wheels is larger than a turn."""
@@ -129,6 +129,11 @@ def mounting_fault(run: Run) -> str:
         return ''
     fault = agreement.fault(_scale_in_turns(history), float(history.std[-1, COEFFICIENTS_START]))
     return fault or next(filter(None, (turned_camera(event.text) for event in run.events)), '')
+
+
+def camera_yaw_fault(run: Run) -> str:
+    """Return what is wrong with the yaw of the camera in its transform; empty where nothing is."""
+    return next(filter(None, (wrong_yaw(event.text) for event in run.events)), '')
 
 
 def _scale_in_turns(history: History) -> float:

@@ -130,9 +130,12 @@ class FaultyGyro:
                 if samples[i].t_ns > self._held[-1].t_ns:
                     sound += self._judge(samples[i])
             else:
-                first, (i, passed, repeated, step, largest) = i, pass_usual(self._usual, samples, i)
+                first = i
+                i, passed, repeated, mean_step_rad_s, largest_rad_s = pass_usual(self._usual, samples, first)
                 if i > first:
-                    self._usual = UsualReadings(samples[i - 1], passed, repeated, step, largest)
+                    self._usual = UsualReadings(
+                        samples[i - 1], passed, repeated, mean_step_rad_s, largest_rad_s
+                    )
                     sound += samples[first:i]
                 if i < len(samples) and self._is_newer(samples[i]):
                     self._held = [samples[i]]

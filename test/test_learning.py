@@ -631,6 +631,7 @@ def test_what_holds_for_one_recording_is_no_calibration_of_others(
     kept = [Mock(effect=None, held_out=drifts), Mock(effect=law, held_out=drifts)]
     improved: Any = Mock(kept=kept, final=kept[1], harmful=(), fell_sigma=3.0)
     improved.final.examined.unexplained_structure = None
+    improved.final.examined.run.events = ()
     monkeypatch.setattr(status, 'timing_fault', lambda examined: None)
     monkeypatch.setattr(status, 'model_fit', lambda run: SimpleNamespace(fits=True))
     said = status.improvement_status(improved)

@@ -9,7 +9,13 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.additions import NONE, Search
-from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_heading
+from gyrocal_ros.diagnose.drift import (
+    BlindDrift,
+    blind_drift,
+    drifts_more,
+    held_out_from_s,
+    reference_heading,
+)
 from gyrocal_ros.diagnose.examined import ExaminedModel
 from gyrocal_ros.diagnose.look_alikes import look_alikes
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
@@ -37,9 +43,6 @@ from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
-MORE_DRIFT = 1.5
-"""Drift with a noise, relative to that without, from which it is more."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MissingEffect:
@@ -60,16 +63,13 @@ class MissingEffect:
     NaN where no such span is left."""
     confused_with: tuple[str, ...]
     """Effects that this recording cannot distinguish from it."""
+    raises_drift: bool = False
+    """True for a noise with which the robot drifts more: with the right one it would drift less."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the coefficients."""
         return coefficient_names(self.effect)
-
-    @property
-    def raises_drift(self) -> bool:
-        """True for a noise with which the robot drifts more: with the right one it would drift less."""
-        return is_noise(self.effect) and self.drift_after_deg > MORE_DRIFT * self.drift_before_deg
 
     @property
     def is_unusual_noise(self) -> bool:
@@ -213,12 +213,14 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
     reference = reference_heading(run)
     from_s = held_out_from_s(run)
 
-    def drift_deg(examined: ExaminedModel, known_from_s: float) -> float:
-        return blind_drift(examined.run, reference, max(from_s, known_from_s)).rms_deg
+    def drift(examined: ExaminedModel, known_from_s: float) -> BlindDrift:
+        return blind_drift(examined.run, reference, max(from_s, known_from_s))
 
     confused = look_alikes(searched)
     for item in searched.kept:
         values, stds = searched.last.estimate_of(item.effect.name)
+        before = drift(item.before, item.known_from_s) if item.before is not None else None
+        after = drift(item.after, item.known_from_s)
         yield MissingEffect(
             effect=with_means(item.effect, values.tolist()),
             values=values,
@@ -226,11 +228,10 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
             gain=item.gain,
             sigma=item.sigma,
             p_value=item.p_value,
-            drift_before_deg=drift_deg(item.before, item.known_from_s)
-            if item.before is not None
-            else float('nan'),
-            drift_after_deg=drift_deg(item.after, item.known_from_s),
+            drift_before_deg=before.rms_deg if before is not None else float('nan'),
+            drift_after_deg=after.rms_deg,
             confused_with=confused.get(item.effect.name, ()),
+            raises_drift=before is not None and is_noise(item.effect) and drifts_more(before, after),
         )
 
 

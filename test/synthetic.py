@@ -123,6 +123,7 @@ def drive(
         wheel_turn_rad=true * DT_S,
         scale_change=zeros,
         scale_followed=zeros,
+        bias_walk=np.ones_like(zeros),
         signals=np.array(list(signals.values())).T if signals else np.empty((count, 0)),
     )
     run = Run(

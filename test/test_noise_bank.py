@@ -112,16 +112,23 @@ def test_a_walk_is_told_where_it_is_certain(walk: float, least: float) -> None:
 
 
 @pytest.mark.slow
-def test_a_robot_reports_that_its_bias_walks_more_than_set() -> None:
-    """Once for each factor, and its standard deviation is larger than that of the filter."""
+@pytest.mark.parametrize('follows', [True, False])
+def test_a_robot_reports_that_its_bias_walks_more_than_set(follows: bool) -> None:
+    """Once for each factor, and it follows the bias where models are not compared."""
     scenario, set_walk = replace(find_scenario('cleaning'), duration_s=120.0), Config().gyro.bias_walk_deg_s
     errors = with_bias_walk(scenario.errors, 16.0 * set_walk, bounded_s=1e5)
     simulated = SimSource(replace(scenario, errors=errors), seed=1)
-    run = calibrate(simulated, Config(), default_model(), follows_changes=True)
+    run = calibrate(simulated, Config(), default_model(), follows_changes=follows)
     events = [event.text for event in run.events if 'bias_walk_deg_s' in event.text]
     assert events
     assert len(events) == len(set(events))
-    assert conclude(run).stds[0] > 1.5 * run.history.std[-1, YAW_BIAS]
+    found, walks = conclude(run), run.history.bias_walk
+    assert walks[0] == 1 and (walks[-1] >= 4 if follows else walks.max() == 1)
+    assert abs(found.scale_factor - simulated.truth.scale_factor) < 3.0 * found.scale_factor_std
+    if follows:
+        assert found.scale_factor_std < 2e-4
+    else:
+        assert found.stds[0] > 1.5 * run.history.std[-1, YAW_BIAS]
 
 
 def test_a_coefficient_that_is_not_measured_keeps_its_standard_deviation() -> None:

@@ -59,6 +59,7 @@ def record(time_s: float = 0.0, event: str = '', **covariates: float) -> StepRec
         event=event,
         scale_change=0.02,
         scale_followed=True,
+        bias_walk=8.0,
     )
 
 
@@ -113,6 +114,7 @@ def test_each_field_of_the_history_is_that_of_the_step() -> None:
         'wheel_turn_rad': float(block.wheel_turn_rad.sum()),
         'scale_change': 0.02,
         'scale_followed': 1.0,
+        'bias_walk': 8.0,
     }
     assert expected.keys() == SCALARS.keys()
     for name, value in expected.items():

@@ -72,7 +72,8 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     """Return the rms blind drift that noise explains; NaN where there is no span.
 
     It adds the headings at both ends, the white noise and the bias walk of the gyro, turns that it could not
-    read, and the uncertainty of bias and coefficients at the beginning of each span.
+    read, and the uncertainty of bias and coefficients at the beginning of each span. A bias that walks by
+    more than the settings say is no such noise: an effect may be behind it.
     """
     history = run.history
     noise = yaw_noise_of(run.model, run.config.gyro, history.turn_rad / history.dt_s)
@@ -88,7 +89,10 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     unread = np.cumsum(_unread_variance(np.where(moving, history.unobserved_turn_std_rad, 0.0)))
     variance += unread[last] - unread[first]
     variance += noise.bias_walk_rad_s**2 * span_s**3 / 3.0
-    variance += (history.std[first, YAW_BIAS] * span_s) ** 2
+    bias_std = history.std[:, YAW_BIAS]
+    if (history.bias_walk > 1.0).any():
+        bias_std = np.minimum.accumulate(bias_std)
+    variance += (bias_std[first] * span_s) ** 2
     by_coefficients = (columns[last] - columns[first]) * history.std[first, COEFFICIENTS_START:]
     variance += np.sum(by_coefficients**2, axis=1)
     return float(np.degrees(np.sqrt(np.mean(variance)))) if len(variance) else math.nan

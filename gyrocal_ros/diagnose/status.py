@@ -22,6 +22,7 @@ from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.effects.traits import holds_once
 from gyrocal_ros.ekf.camera_faults import camera_fault
+from gyrocal_ros.ekf.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.sensor import Effect
@@ -125,6 +126,8 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         return Status('yellow', sentence, f'Record turns to the {other}, too.')
     if fault:
         return Status('yellow', f'{sentence}, but {fault}.', remedy)
+    if (walk := run.history.bias_walk[-1]) >= MUCH_WALK:
+        return Status('yellow', f'{sentence}, but {walks_more(walk)}.', DIAGNOSE)
     is_large = fit.drift_deg > LARGE_DRIFT_DEG
     if fit.fits is None or (is_large and held_out_from_s(run) < converged_s):  # its spans began before
         return Status('yellow', f'{sentence}, but {_why_unjudged(fit)}.', RECORD)

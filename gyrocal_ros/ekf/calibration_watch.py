@@ -6,21 +6,25 @@ scale factor that has changed is followed where that is wanted, as is the time b
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.config.sections import GyroConfig
+from gyrocal_ros.config.sections import Config, GyroConfig
 from gyrocal_ros.data import Array, quickly_filled
 from gyrocal_ros.ekf.camera_watch import CameraWatch
 from gyrocal_ros.ekf.drift_suspicion import DRIFT_STD, USUAL_DRIFT_STD, HeadingErrors
 from gyrocal_ros.ekf.heading import HeadingReference
 from gyrocal_ros.ekf.noise_bank import NoiseBank
+from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.scale_watch import ScaleChange, ScaleWatch
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW, State, with_further_errors
+from gyrocal_ros.ekf.start import initial_state
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW, YAW_BIAS, State, with_further_errors
 from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import UpdateStats
+from gyrocal_ros.model.sensor import SensorModel
 
 MOST_CHANGE = 0.5
 """Largest change of the scale factor that is followed: one that is larger is no change of a gyro."""
@@ -39,6 +43,8 @@ class Suspicions:
     """True if the state follows it."""
     event: str
     """What is new to the user."""
+    bias_walk: float
+    """Random walk of the bias that is expected, relative to the settings."""
 
 
 class CalibrationWatch:
@@ -46,38 +52,43 @@ class CalibrationWatch:
 
     Args:
         state: initial state of the filter.
+        model: the sensor model.
+        config: settings.
         camera: test of the camera; None for a robot without one, or without features in pixels.
         heading: the heading reference; None for a robot with a camera.
-        unknown_std: (1 + k,) standard deviations of yaw bias and coefficients where nothing is known.
-        known_std: standard deviation of a scale factor that is calibrated.
         focal_px: focal length of the camera; infinite without one.
         is_stored: True if the first scale factor is that of an earlier calibration.
-        follows_changes: True to let the state follow a changed scale factor.
+        follows_changes: True to let the state follow a changed scale factor, and a bias that walks by more
+            than set.
     """
 
     def __init__(
         self,
         state: State,
+        model: SensorModel,
+        config: Config,
         camera: CameraWatch | None,
         heading: HeadingReference | None,
-        unknown_std: Array,
-        known_std: float,
         focal_px: float,
         *,
         is_stored: bool,
         follows_changes: bool,
     ) -> None:
-        self._camera, self._heading, self._unknown_std = camera, heading, unknown_std
-        self._focal_px = focal_px
+        self._camera, self._heading, self._focal_px = camera, heading, focal_px
+        unknown = initial_state(model, config, None)
+        self._unknown_std = np.sqrt(unknown.covariance.diagonal()[YAW_BIAS:])
+        """(1 + k,) standard deviations of yaw bias and coefficients where nothing is known."""
         self._scale = ScaleWatch(
             state,
             CameraWatch.count if camera is not None else 0,
             DRIFT_STD if heading is None else USUAL_DRIFT_STD,
-            known_std,
+            config.convergence.scale_std,
             is_stored=is_stored,
         )
-        self._noise = NoiseBank(state) if heading is None else None  # beside a heading the filter learns it
-        self._told_walk = 1.0
+        # Beside a heading the filter learns the noise.
+        self._noise = NoiseBank(state, follows=follows_changes) if heading is None else None
+        self._bias_walk = yaw_noise_of(model, config.gyro, np.zeros(1)).bias_walk_rad_s
+        self._told_walk = self._largest_walk = 1.0
         self._follows_changes, self._is_stored = follows_changes, is_stored
         self._has_told, self.finding = False, ''
         """What is wrong with the camera or the heading reference; empty where nothing is."""
@@ -94,6 +105,13 @@ class CalibrationWatch:
     def walk(self, gyro: GyroConfig) -> GyroConfig:
         """Return settings with the random walk of the scale factor that repeated changes show."""
         return self._scale.walk(gyro)
+
+    def wander(self, state: State, duration_s: float) -> State:
+        """Add the random walk of the bias over a time beyond that of the settings, as far as it is found."""
+        if self._noise is None or self._noise.walk == 1.0:
+            return state
+        further = self._bias_walk * math.sqrt((self._noise.walk**2 - 1.0) * duration_s)
+        return with_further_errors(state, np.array([YAW_BIAS]), further)
 
     def test(
         self,
@@ -138,13 +156,26 @@ class CalibrationWatch:
             state = self._with_time_offset(state, camera, duration_s if updates[-1].dof else 0.0)
         if self._noise is not None:
             self._noise.add(predicted, state, duration_s)
+            state = self._with_larger_walk(state, self._noise)
             events += self._walk_events(self._noise.least_walk)
         std = self._suspected_std(state, duration_s)
         if self.finding and not self._has_told:
             events.append(self.finding)
             self._has_told = True
         state = self._scale.renew(state, duration_s)
-        return state, Suspicions(std, change, follows, '; '.join(events))
+        walk = 1.0 if self._noise is None else self._noise.walk
+        return state, Suspicions(std, change, follows, '; '.join(events), walk)
+
+    def _with_larger_walk(self, state: State, noise: NoiseBank) -> State:
+        """Return the state with the errors so far of a walk that it did not expect, once that is known."""
+        if noise.walk <= self._largest_walk:
+            return state
+        self._largest_walk = noise.walk
+        state = with_further_errors(state, np.arange(YAW_BIAS, state.robot_size), noise.unexpected_std(state))
+        noise.begin(state)
+        if self._camera is not None:
+            self._camera.restart()
+        return self._scale.begin(state)
 
     def _without_stored(self, state: State) -> State:
         """Return the state where nothing is known of the coefficients, if there are several.

@@ -3,9 +3,9 @@
 The filter believes the noise of its settings, and its standard deviations are as wrong as these. What the
 measurements of a few seconds say of yaw bias and coefficients follows from the estimates before and after
 them. Small filters of these alone take it in, one for each of several alternatives of the white noise and of
-the random walk of the bias (multiple-model estimation, Magill 1965). The estimate of the filter stays as it
-is. Its expected squared error over the alternatives, each as likely as it predicts the measurements, tells by
-how much its variance is too small.
+the random walk of the bias (multiple-model estimation, Magill 1965). The expected squared error of the
+estimate over the alternatives, each as likely as it predicts the measurements, tells by how much its variance
+is too small. A larger random walk that is certain may be told to the filter, which then expects it.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from gyrocal_ros.statistics import chi_square_quantile
 
 WINDOW_S = 5.0
 """Time whose measurements count together: errors of the heading at its ends hardly matter then."""
-WHITE, WALK = (0.25, 0.5, 1.0, 2.0, 4.0), (1.0 / 16.0, 0.25, 1.0, 4.0, 16.0, 64.0)
-"""Variances of the white noise and of the random walk of the bias, relative to those of the filter."""
+WHITE, WALK = (0.25, 0.5, 1.0, 2.0, 4.0), (1.0 / 16.0, 0.25, 1.0, 4.0, 16.0, 64.0, 256.0, 1024.0)
+"""Variances of the white noise and of the random walk of the bias, relative to those of the settings."""
 USUAL_FACTOR = 2.0
 """Factor on a standard deviation of the settings within which most gyros are: one standard deviation."""
 FORMING = 0.75
@@ -35,6 +35,8 @@ OUTLYING = 1e-4
 """Probability by chance of what the measurements of a window say, from which they count no more."""
 CERTAIN = 0.99
 """Probability from which the bias is said to walk more than the settings say."""
+MUCH_WALK = 4.0
+"""Random walk of the bias, relative to the settings, that a user should know of: gyros differ by two."""
 GROWN = 1.5
 """Variance, relative to the expected one, from which the filter has let an estimate go."""
 
@@ -42,17 +44,25 @@ _WHITE, _WALK = (axis.ravel() for axis in np.meshgrid(WHITE, WALK))
 _LOG_PRIOR = -0.5 * sum((0.5 * np.log(ratio) / math.log(USUAL_FACTOR)) ** 2 for ratio in (_WHITE, _WALK))
 
 
+def walks_more(relative: float) -> str:
+    """Return what is wrong with the settings of the bias, as a clause."""
+    return f'the bias of the gyro walks {relative:.0f} times as much as the setting gyro.bias_walk_deg_s'
+
+
 class NoiseBank:
-    """Compares a = 30 alternatives of the noise of the gyro.
+    """Compares a = 40 alternatives of the noise of the gyro.
 
     Args:
         state: initial state of the filter.
+        follows: True if the filter expects the `walk` that is found.
     """
 
-    def __init__(self, state: State) -> None:
+    def __init__(self, state: State, *, follows: bool = False) -> None:
         self._log_likelihoods = np.zeros(len(_WHITE))
-        self.least_walk = 1.0
-        """Random walk of the bias, relative to that of the filter, that is certain; 1 or more."""
+        self.least_walk = self.walk = 1.0
+        """Random walk of the bias, relative to that of the settings, that is certain, and the likeliest; 1 or
+        more."""
+        self._follows = follows
         self._relative_std: Array = np.zeros(1 + state.coefficient_count)
         self._places = YAW_BIAS + np.flatnonzero(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
         self._last: Array = self._variances(state)
@@ -93,8 +103,9 @@ class NoiseBank:
         self._time_s = 0.0
         errors = self._covariances.diagonal(axis1=1, axis2=2) + (self._means - mean) ** 2
         weights = self.weights
-        certain = [walk for walk in WALK if weights[walk <= _WALK].sum() >= CERTAIN]
-        self.least_walk = math.sqrt(max(1.0, *certain))
+        self.least_walk = self._walk_by(weights, CERTAIN)
+        if self._follows:
+            self.walk = self._walk_by(weights, 0.5) if self.least_walk > 1.0 else 1.0
         excess = weights @ errors / covariance.diagonal() - 1.0
         self._relative_std[self._places - YAW_BIAS] = np.sqrt(np.maximum(excess, 0.0))
 
@@ -102,6 +113,11 @@ class NoiseBank:
         """Return the standard deviations (1 + k,) of the errors by noise that the filter does not expect."""
         std: Array = self._relative_std * np.sqrt(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
         return std
+
+    @staticmethod
+    def _walk_by(weights: Array, probability: float) -> float:
+        """Return the largest walk that is exceeded, or met, with a probability; at least 1."""
+        return math.sqrt(max(1.0, *(walk for walk in WALK if weights[walk <= _WALK].sum() >= probability)))
 
     def _learned(self, state: State) -> tuple[Array, Array]:
         """Return mean (d,) and covariance of yaw bias and coefficients that are not known exactly."""
@@ -140,7 +156,7 @@ class NoiseBank:
         left, T = np.maximum(left[told], LEAST_TOLD), axes.T[told] @ whitening
 
         grown, each = np.tile(self._grown, (len(_WALK), 1)), np.arange(len(change))
-        grown[:, 0] *= _WALK  # the bias is the first
+        grown[:, 0] *= _WALK / self.walk**2  # the bias is the first
         self._covariances[:, each, each] += grown
         residual = T @ change / (1.0 - left) - (self._means - self._mean) @ T.T
         numerator = T @ self._covariances

@@ -96,6 +96,9 @@ class History:
     without one."""
     scale_followed: Array
     """(s,) 1 where the filter followed such a change."""
+    bias_walk: Array
+    """(s,) random walk of the bias that the filter expects, relative to the settings; more than 1 where it
+    follows the bias because that walks by more, see `ekf.noise_bank`."""
 
     @property
     def coefficients(self) -> Array:
@@ -141,16 +144,18 @@ SCALARS: dict[str, Callable[[StepRecord], float]] = {
     'wheel_turn_rad': lambda step: step.block.wheel_turn_rad.sum(),
     'scale_change': lambda step: step.scale_change,
     'scale_followed': lambda step: step.scale_followed,
+    'bias_walk': lambda step: step.bias_walk,
 }
 """Fields of `History` that hold one number a step, and how each follows from the record of the step."""
-COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view', 'resting', 'scale_followed')
-"""Those that are whole numbers."""
+COUNTS = ('dof', 'used', 'rejected', 'dropped', 'on_lens', 'in_view')
+SMALL_COUNTS = ('waits', 'resting', 'scale_followed', 'bias_walk')
+"""Those that are whole numbers, and those of them that are below a hundred."""
 NOISES = ('pixel_noise_px', 'stamp_noise_s')
 """Those that need no more than single precision."""
 _DTYPES: dict[str, type] = {
     **dict.fromkeys(COUNTS, np.int32),
     **dict.fromkeys(NOISES, np.float32),
-    'waits': np.int8,
+    **dict.fromkeys(SMALL_COUNTS, np.int8),
 }
 
 

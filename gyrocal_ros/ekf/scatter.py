@@ -131,14 +131,16 @@ def scatter_of(run: Run) -> tuple[Scatter, Array]:
     """Return the scatter of yaw bias and coefficients over a run, and the inflation (s, 1 + k) of their stds.
 
     By how much the scale factor has changed adds to its standard deviation, if the filter did not follow; so
-    does what is suspected of the camera and of a drift.
+    does what is suspected of the camera and of a drift. What contradicted the filter before it followed a
+    change, or expected a larger walk of the bias, says nothing of the time after.
     """
     history, least = run.history, traces(run.model)
+    begins = begins_again(history)
     variances = history.std[:, YAW_BIAS:] ** 2
     scatter, inflations = Scatter(least), np.ones_like(variances)
     columns = (history.time_s, history.change, history.change_variance, variances)
     for i, step in enumerate(zip(*columns, strict=True)):
-        if history.scale_followed[i]:
+        if begins[i]:
             scatter = Scatter(least)
         else:
             scatter.add(*step)
@@ -147,6 +149,13 @@ def scatter_of(run: Run) -> tuple[Scatter, Array]:
     changed = np.maximum(np.abs(history.scale_change), left)
     inflations[:, SCALE] = np.hypot(inflations[:, SCALE], changed / history.std[:, COEFFICIENTS_START])
     return scatter, with_suspected(inflations, history.suspected_std, history.std[:, YAW_BIAS:])
+
+
+def begins_again(history: History) -> np.ndarray:
+    """Return (s,) True where the filter follows a change of the scale factor, or expects a larger walk."""
+    largest = np.maximum.accumulate(history.bias_walk)
+    begins: np.ndarray = (history.scale_followed > 0) | (np.diff(largest, prepend=1.0) > 0.0)
+    return begins
 
 
 def left_of_changes(history: History, inflation: Array) -> Array:
@@ -168,7 +177,7 @@ def left_of_changes(history: History, inflation: Array) -> Array:
     unchanged_s = np.maximum.accumulate(np.where(change > 0.0, 0.0, measured_s))
     lasting = np.where(measured_s - unchanged_s >= SETTLE_S - NOTICED_S, change, 0.0)
     last = np.maximum.accumulate(np.where(lasting > 0.0, np.arange(len(lasting)), 0))
-    parts = np.split(lasting, np.flatnonzero(history.scale_followed))
+    parts = np.split(lasting, np.flatnonzero(begins_again(history)))
     largest = np.concatenate([np.maximum.accumulate(part) for part in parts])
     begins = [(part > 0.0) & (np.roll(part, 1) == 0.0) for part in parts]
     is_repeated = np.concatenate([np.cumsum(begin) > 1 for begin in begins])

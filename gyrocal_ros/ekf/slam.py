@@ -117,15 +117,14 @@ class EkfSlam:
         self._levelling: Levelling | None = None
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
-        unknown = initial_state(model, config, None, 0)
         self._watch = CalibrationWatch(
             self.state,
+            model,
+            config,
             CameraWatch(self._own_candidates, {effect.name for effect in model.effects})
             if tests_camera
             else None,
             self._heading if rig.camera is None else None,
-            np.sqrt(unknown.covariance.diagonal()[YAW_BIAS:]),
-            config.convergence.scale_std,
             math.inf if rig.camera is None else rig.camera.fx_px,
             is_stored=start is not None,
             follows_changes=follows_changes,
@@ -153,7 +152,7 @@ class EkfSlam:
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
         gyro, sway = self._noise_at_rest(block, gyro, is_at_rest=is_at_rest)
         transition = self._predict(before, block, steady, gyro)
-        predicted = self.state
+        predicted = self.state = self._watch.wander(self.state, block.duration_s)
 
         # Zero-rate update: a robot that stands still does not turn.
         resting = UpdateStats()

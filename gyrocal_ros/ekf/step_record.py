@@ -60,6 +60,8 @@ class StepRecord:
     without one."""
     scale_followed: bool = False
     """True if the filter followed such a change."""
+    bias_walk: float = 1.0
+    """Random walk of the bias that the filter expects, relative to the settings, see `ekf.noise_bank`."""
 
 
 def step_record(
@@ -99,6 +101,7 @@ def step_record(
         event=event,
         scale_change=0.0 if suspicions.change is None or suspicions.followed else suspicions.change.value,
         scale_followed=suspicions.followed,
+        bias_walk=suspicions.bias_walk,
     )
 
 

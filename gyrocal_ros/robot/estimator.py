@@ -13,6 +13,7 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, seconds
 from gyrocal_ros.ekf.convergence import Convergence
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, MAP_DROPPED, LostMaps
+from gyrocal_ros.ekf.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.scatter import Scatter, traces, with_suspected
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.start import Start, initial_state
@@ -111,6 +112,13 @@ class Estimator:
     def trusted(self) -> State:
         """The last state that was trusted."""
         return self._trusted
+
+    @property
+    def _model_fits(self) -> bool | str:
+        """Whether the model fits, if that can be told: a law may be behind a bias that walks too much."""
+        if self._scatter.contradicts:
+            return False
+        return True if self._scatter.is_judged and self._largest_walk < MUCH_WALK else 'unknown'
 
     @property
     def calibration(self) -> Calibration:
@@ -225,6 +233,8 @@ class Estimator:
             )
         if self.slam is not None and self.slam.finding:
             yield self.slam.finding
+        if self._largest_walk >= MUCH_WALK:
+            yield f'{walks_more(self._largest_walk)}; record a bag and diagnose it'
         if self._scatter.contradicts:
             yield (
                 'the model does not fit: the estimates change by far more than the filter expects; record a '
@@ -253,7 +263,7 @@ class Estimator:
             'estimating': self.is_on,
             'recent_nis': round(self.watch.recent_nis, 3),
             'overall_nis': round(self.watch.overall_nis, 3),
-            'model_fits': not self._scatter.contradicts if self._scatter.is_judged else 'unknown',
+            'model_fits': self._model_fits,
             'pixel_noise_px': round(math.nan if slam is None else slam.track_noise.pixel.std, 3),
             'stamp_noise_s': round(math.nan if slam is None else slam.track_noise.learned_stamp_std_s, 4),
             'wheel_noise_m': round(math.nan if slam is None else slam.wheel_noise.config.distance_noise_m, 4),
@@ -292,7 +302,7 @@ class Estimator:
         return seconds(newest_ns - self._stream.slam.state.t_ns)
 
     def _reset_watch(self) -> None:
-        self.watch, self._scatter = Convergence(), Scatter(traces(self.model))
+        self.watch, self._scatter, self._largest_walk = Convergence(), Scatter(traces(self.model)), 1.0
         self._inflation = self._trusted_inflation = self._scatter.inflation
         self._time_s = self._checkpoint_s = self._consistent_s = 0.0
         self._has_stepped = False
@@ -338,6 +348,8 @@ class Estimator:
         self._compare_turns(record)
         if record.scale_followed:
             self._begin_anew()
+        elif record.bias_walk > self._largest_walk:
+            self._largest_walk, self._scatter = record.bias_walk, Scatter(traces(self.model))
         else:
             self._scatter.add(self._time_s, record.change, record.change_variance, record.std[YAW_BIAS:] ** 2)
         self._inflation = with_suspected(self._scatter.inflation, record.suspected_std, record.std[YAW_BIAS:])

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import math
+from types import SimpleNamespace
+from typing import cast
 
+import numpy as np
 import pytest
 from test_search import AT_REST, MIN_GAIN, FakeFilter
 
 from gyrocal_ros.diagnose import alternatives
-from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.additions import Addition, Search
 from gyrocal_ros.diagnose.alternatives import best_alternative, searched_again
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import default_model, find_effect
 
 BOTH = 450.0
 """Predictive log-likelihood that the two effects found gain together."""
@@ -73,6 +76,42 @@ def test_one_effect_alone_was_contested_by_the_search() -> None:
     fake = FakeFilter({'gyro_lag': 3.0}, {'gyro_lag': 400.0})
     found = found_by(fake)
     assert len(found.kept) == 1 and best_alternative(found, AT_REST, fake, MAX_ADDITIONS) is found
+
+
+@pytest.mark.parametrize(('alone', 'named'), [(900.0, 'turn_slip'), (300.0, 'gyro_lag')])
+def test_an_effect_that_displaces_another_takes_its_place_where_it_predicts_better(
+    alone: float, named: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake = FakeFilter({'gyro_lag': 3.0}, {'gyro_lag': 400.0, 'turn_slip': alone})
+    found = found_by(fake)
+    monkeypatch.setattr(alternatives, '_displacing', lambda searched, item: [find_effect('turn_slip')])
+    fake.hidden = {'turn_slip': 3.0}
+    assert alternative(fake, found) == [named]
+
+
+@pytest.mark.parametrize(('left', 'displaces'), [(0.1, True), (0.3, False)])
+def test_an_effect_of_which_little_is_left_is_displaced(left: float, displaces: bool) -> None:
+    """A principal point that was tried beside a camera that seemed to be elsewhere."""
+    values = {'before': np.array([0.03, 0.04]), 'after': left * np.array([0.03, 0.04])}
+    models = {
+        when: SimpleNamespace(
+            model=SimpleNamespace(effects=[find_effect('camera_position')]),
+            estimate_of=lambda name, value=value: (value, None),
+        )
+        for when, value in values.items()
+    }
+    kept = SimpleNamespace(effect=find_effect('camera_position'), strengths=np.array([0, 1]))
+    rejected = SimpleNamespace(
+        is_kept=False, predictive_gain=600.0, effect=find_effect('principal_point'), **models
+    )
+    settings = SimpleNamespace(settings=DEFAULT_SETTINGS)
+    searched = cast('Search', SimpleNamespace(first=settings, additions=[kept_first(kept), rejected]))
+    found = alternatives._displacing(searched, cast('Addition', kept))
+    assert [effect.name for effect in found] == (['principal_point'] if displaces else [])
+
+
+def kept_first(kept: SimpleNamespace) -> SimpleNamespace:
+    return SimpleNamespace(is_kept=True, effect=kept.effect)
 
 
 RECOVERED = 'camera_time_offset'

@@ -7,19 +7,29 @@ others, it is taken, and with it in the model the two are not found any more.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import replace
 
-from gyrocal_ros.diagnose.additions import Search
+import numpy as np
+
+from gyrocal_ros.diagnose.additions import Addition, Search
 from gyrocal_ros.diagnose.elimination import without_addition
 from gyrocal_ros.diagnose.examined import Calibrate
 from gyrocal_ros.diagnose.look_alikes import look_alikes
+from gyrocal_ros.diagnose.one_more import with_one_more
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search import continued
+from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Effect
+
+LEFT = 0.2
+"""Part of an effect that is left beside another one, below which that one displaces it."""
 
 
 def best_alternative(found: Search, recording: RecordingSummary, calibrate: Calibrate, most: int) -> Search:
-    """Return a search, or the best one that does without an effect which others look like.
+    """Return a search, or the best one that does without an effect which others look like, or displace.
 
     One effect alone was compared with those that look like it by the search itself.
 
@@ -29,20 +39,61 @@ def best_alternative(found: Search, recording: RecordingSummary, calibrate: Cali
         calibrate: runs the filter.
         most: number of effects to try.
     """
-    if len(found.kept) < 2:
-        return found
-    confused = look_alikes(found)
-    doubtful = [item for item in found.kept if item.before is not None and confused.get(item.effect.name)]
+    confused = look_alikes(found) if len(found.kept) > 1 else {}
     best = found
-    for item in doubtful:
-        place = found.additions.index(item)
-        assert item.before is not None
-        without = frozenset([item.effect.name])
-        additions = continued(found.additions[:place], item.before, recording, calibrate, most, without)
-        other = replace(found, additions=tuple(additions))
-        if _advantage(best, other) > found.first.settings.min_predictive_gain:
-            best = other
+    for item in found.kept:
+        others = _displacing(found, item)
+        if item.before is None or not (others or confused.get(item.effect.name)):
+            continue
+        additions = [*found.additions[: found.additions.index(item)]]
+        for other in others:
+            with suppress(*CANNOT_RUN):
+                additions.append(with_one_more(item.before, other, recording, calibrate))
+        changed = replace(found, additions=tuple(_without(item, additions, recording, calibrate, most)))
+        if _advantage(best, changed) > found.first.settings.min_predictive_gain:
+            best = changed
     return best
+
+
+def _without(
+    item: Addition,
+    additions: Sequence[Addition],
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    most: int,
+) -> list[Addition]:
+    """Continue a search from additions, of which the last may take the place of another one."""
+    assert item.before is not None
+    kept = [added.after for added in additions if added.is_kept]
+    present = max([item.before, *kept], key=lambda examined: examined.model.version)
+    return continued(additions, present, recording, calibrate, most, frozenset([item.effect.name]))
+
+
+def _displacing(found: Search, item: Addition) -> list[Effect]:
+    """Return the effect that was left out, and beside which almost nothing is left of one that was added.
+
+    With it the recording is predicted better, yet beside what it displaces it may be rejected. The one that
+    predicts best comes alone.
+    """
+    least = found.first.settings.min_predictive_gain
+    rejected = [
+        other
+        for other in found.additions
+        if not other.is_kept and other.predictive_gain > least and _displaces(other, item)
+    ]
+    return [max(rejected, key=lambda other: other.predictive_gain).effect] if rejected else []
+
+
+def _displaces(rejected: Addition, kept: Addition) -> bool:
+    """Return True if almost nothing is left of an effect, added earlier, beside one that was rejected."""
+    name = kept.effect.name
+    if rejected.before is None or all(effect.name != name for effect in rejected.before.model.effects):
+        return False
+    before, after = (
+        float(np.linalg.norm(examined.estimate_of(name)[0][kept.strengths]))
+        for examined in (rejected.before, rejected.after)
+    )
+    return after < LEFT * before
 
 
 def searched_again(found: Search, recording: RecordingSummary, calibrate: Calibrate, most: int) -> Search:

@@ -43,6 +43,7 @@ DOES_NOT_FIT = 'the model does not fit this recording.'
 """The last words on a calibration that its own recording contradicts."""
 UNJUDGED = 'the recording is too short to judge the model, or has too many gaps'
 UNSEEN = 'too few images or headings confirm the model'
+KNOWN_LATE = 'the scale factor was known too late to judge the heading without the camera'
 REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 ADD_NOISE = 'Add it with `gyrocal add` where right standard deviations count more than drift without images.'
@@ -109,10 +110,12 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
     if fit.misfits:
         return Status('red', f'Not to be trusted: {"; ".join(fit.misfits)}; {DOES_NOT_FIT}', DIAGNOSE)
     if converged_s is None:
-        known = f'{100.0 * calibration.scale_factor_std:.2g} %'
+        known = f'{100.0 * calibration.scale_factor_std:.3g} %'
         sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}'
         if fault:
             return Status('yellow', f'{sentence}; {fault}.', remedy)
+        if fit.drift_deg > LARGE_DRIFT_DEG:
+            sentence += f'; {_drifts(fit)}'
         turned_enough = min(turned_deg(run)) > ENOUGH_TURN_DEG
         return Status('yellow', f'{sentence}.', DIAGNOSE if turned_enough else MORE_TURNS)
     if not calibration.converged:
@@ -130,11 +133,24 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         return Status('yellow', f'{sentence}, but {walks_more(walk)}.', DIAGNOSE)
     is_large = fit.drift_deg > LARGE_DRIFT_DEG
     if fit.fits is None or (is_large and held_out_from_s(run) < converged_s):  # its spans began before
-        return Status('yellow', f'{sentence}, but {_why_unjudged(fit)}.', RECORD)
+        return Status('yellow', f'{sentence}, but {_why_unsure(fit, run)}.', RECORD)
     if is_large:
-        drifts = f'the heading drifts by {fit.drift_deg:.1f} deg in {SPAN_S:.0f} s without the camera'
-        return Status('yellow', f'{sentence}, but {drifts}, which its noise and limits explain.', FIND_NOISE)
+        drifts = f'{_drifts(fit)}, which its noise and limits explain'
+        return Status('yellow', f'{sentence}, but {drifts}.', FIND_NOISE)
     return Status('green', f'{sentence}.')
+
+
+def _drifts(fit: ModelFit) -> str:
+    return f'the heading drifts by {fit.drift_deg:.1f} deg in {SPAN_S:.0f} s without the camera'
+
+
+def _why_unsure(fit: ModelFit, run: Run) -> str:
+    """Return why the drift says little of a calibration, as a clause."""
+    followed_s = run.history.time_s[run.history.scale_followed > 0]
+    if len(followed_s) and not fit.is_unseen:
+        changed = f'the estimate of the scale factor changed at {followed_s[-1]:.0f} s'
+        return f'{changed}, and too little was recorded since then to judge the model'
+    return KNOWN_LATE if fit.fits is not None else _why_unjudged(fit)
 
 
 def _why_unjudged(fit: ModelFit) -> str:

@@ -22,8 +22,8 @@ SOUND_IMAGES = 100
 REMEMBERED_IMAGES = 300
 """Images over which the share of those that contradict the map is averaged."""
 SLIPS = (
-    'the images contradict the wheels: these slip or do not turn, or all that the camera sees moves; only '
-    'the position follows the images'
+    'the images contradict the wheels: these slip or do not turn, all that the camera sees moves, or the '
+    'camera is not as its camera_info and transform say; only the position follows the images'
 )
 """Event of a run."""
 LIFTED = 'the robot was lifted: its position and height follow the images alone'

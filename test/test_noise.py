@@ -25,10 +25,11 @@ from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise, shown_noise
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search import continued
-from gyrocal_ros.diagnose.status import ADD_NOISE, diagnosis_status, improvement_status
+from gyrocal_ros.diagnose.status import ADD_NOISE, LAW_OR_NOISE, diagnosis_status, improvement_status
 from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects.learned.memory import memory
 from gyrocal_ros.effects.learned.step import step
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
@@ -120,9 +121,12 @@ def test_noise_is_a_verdict_of_its_own() -> None:
     assert found.fit.fits and found.unexplained is None
     assert found.missing[0].stds[0] > 0.0
     assert 'rate_noise' in diagnosis_status(found).sentence
+    law = diagnosis_status(replace(found, rival_law='the bias goes with temperature'))
+    assert 'the bias goes with temperature, which explains nearly as much' in law.sentence
+    assert law.next_step == LAW_OR_NOISE
     for is_advised in (True, False):
         noise = replace(found.missing[0], raises_drift=not is_advised)
-        status = diagnosis_status(replace(found, missing=(noise,)))
+        status = diagnosis_status(replace(found, missing=(noise,), rival_law=''))
         assert ('let `gyrocal improve` add it' in status.next_step) == is_advised
         assert ('the robot drifts more with it' in status.sentence) != is_advised
 
@@ -325,6 +329,23 @@ def test_a_signal_has_to_explain_more_than_a_walk_of_the_bias(
     assert bool(noise_fit.unless_a_walk_explains(added).objection) == objects
 
 
+@pytest.mark.parametrize(
+    ('effect', 'part', 'is_told'),
+    [
+        (memory('bias', 'temperature'), 0.9, True),
+        (memory('bias', 'temperature'), 0.7, False),
+        (step('bias'), 0.9, False),
+        (find_effect('bias_temperature'), 0.9, False),
+    ],
+)
+def test_a_law_that_predicts_nearly_as_well_is_told_beside_a_noise(
+    effect: Effect, part: float, is_told: bool
+) -> None:
+    """A jump is one of many, and an effect of the library has been weighed before."""
+    rival, found = Mock(effect=effect, predictive_gain=part * 1e3), Mock(predictive_gain=1e3)
+    assert noise._alike([rival], found) is (rival if is_told else None)
+
+
 def test_a_few_readings_refute_no_noise() -> None:
     none = readings(np.zeros(0), 100.0)
     for name, size in SIZES.items():
@@ -341,14 +362,14 @@ def test_noise_in_place_of_what_was_found_has_to_be_proven(
     fitted = NoiseFit(with_means(find_effect(name), (SIZES[name],)), 1e3, 1e-6)
     kept = replace(addition(first, first), effect=fitted.effect, gain=1e3)
 
-    def is_proven(*about: object) -> bool:
+    def rivals(*about: object) -> list[Addition] | None:
         asked.append(about)
-        return proven
+        return [] if proven else None
 
     monkeypatch.setattr(noise, 'is_missing_something', lambda *about: True)
     monkeypatch.setattr(noise, 'fit_noises', lambda *about: [fitted])
     monkeypatch.setattr(noise, '_first_kept', lambda *about: kept)
-    monkeypatch.setattr(noise, '_is_proven', is_proven)
+    monkeypatch.setattr(noise, '_rivals', rivals)
     monkeypatch.setattr(noise, '_fits_readings', lambda *about: True)
     monkeypatch.setattr(noise, 'continued', lambda additions, *about: additions)
     monkeypatch.setattr(Addition, 'predictive_gain', 1e3)

@@ -114,7 +114,7 @@ def law(effect: Effect, *values: float) -> Any:
     ],
 )
 def test_a_law_in_words(found: Any, what: str, signal: str) -> None:
-    structure = unknown_law._structure(found)
+    structure = unknown_law.structure_of(found)
     assert structure.what == what and structure.shape.signal == signal
     assert structure.shape.of_scale == what.startswith('the scale')
     assert structure.at_s == (41.0 if 'jumped' in what else None)
@@ -125,7 +125,7 @@ def test_a_curve_is_shown_over_its_signal(monkeypatch: pytest.MonkeyPatch) -> No
     x: Array = np.linspace(0.0, 1.0, 101)
     learned = SimpleNamespace(x=x, y=2.0 * x, std=0.1 + 0.0 * x)
     monkeypatch.setattr(unknown_law, 'learned_curve', lambda after, effect: learned)
-    shape = unknown_law._structure(law(curve('bias', 'force_y', 0.0, 1.0))).shape
+    shape = unknown_law.structure_of(law(curve('bias', 'force_y', 0.0, 1.0))).shape
     assert shape.signal == 'sideways acceleration (m/s^2)' and not shape.of_scale
     np.testing.assert_allclose(shape.values, 2.0 * shape.knots)
     assert len(shape.knots) == 11 and np.all(shape.stds == 0.1)

@@ -7,7 +7,7 @@ import re
 from collections.abc import Callable
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 from unittest.mock import Mock
 
 import numpy as np
@@ -17,11 +17,11 @@ from recordings import ModifiedSource, each, recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Mount, WheelSample
-from gyrocal_ros.diagnose.diagnosis import diagnose
+from gyrocal_ros.diagnose.diagnosis import MissingEffect, diagnose
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import MEND_YAW, Status, diagnosis_status, improvement_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA, WRONG_YAW, WayAgreement, turned_camera
@@ -157,6 +157,9 @@ def test_a_diagnosis_tells_a_wrong_yaw_and_judges_neither_camera_nor_wheels(
     status = diagnosis_status(found)
     assert found.verdict == 'cannot_tell' and WRONG_YAW in found.wrong_yaw
     assert status.level != 'green' and 'Neither camera nor wheels can be judged' in status.sentence
+    tilted = SimpleNamespace(effect=find_effect('camera_position'), confused_with=())
+    imitated = diagnosis_status(replace(found, missing=cast('tuple[MissingEffect, ...]', (tilted,))))
+    assert 'camera_position' not in imitated.sentence and imitated.next_step == MEND_YAW
     examined = SimpleNamespace(run=run(default_model(), ()))
     nothing = Mock(revisions=(), kept=(), harmful=(), final=Mock(examined=examined))
     of_revisions = 'gyrocal_ros.diagnose.status._status_of_revisions'

@@ -18,11 +18,11 @@ from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.diagnose.advice import advice, grouped, join
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
+from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.status import diagnosis_status
+from gyrocal_ros.diagnose.status import LAW_OR_NOISE, MEND_YAW, diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects.quantities import add_words
@@ -132,6 +132,8 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     """Yield the next steps, with the commands to copy."""
     steps = advice(diagnosis)
     usual = [item for item in diagnosis.missing if not (item.is_unusual_noise or item.raises_drift)]
+    if diagnosis.wrong_yaw:  # what is found of camera and wheels may be that
+        usual, steps = [item for item in usual if item.effect.acts_on not in BY_YAW], [MEND_YAW, *steps]
     is_judged = diagnosis.timing is None and not diagnosis.fit.mounting
     if is_judged and (
         diagnosis.unexplained is not None or diagnosis.fit.misfits or len(usual) < len(diagnosis.missing)
@@ -147,6 +149,8 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
             f'Or add it and measure the error: {improve}',
             *steps,
         ]
+    if diagnosis.rival_law and usual:
+        steps = [LAW_OR_NOISE, *steps]
     if steps:
         yield ''
         yield 'Next:'

@@ -57,6 +57,8 @@ class Addition:
     objection: str = ''
     """Clause that says why a run does not confirm it, for a learned effect, one that shows at few moments, or
     one that follows a recorded signal; empty if it does."""
+    rival: Addition | None = None
+    """Law with which a run predicts nearly as well as with this noise."""
     is_shown: bool = False
     """True for a noise that the readings themselves show."""
     is_rewritten: bool = False

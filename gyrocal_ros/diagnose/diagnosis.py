@@ -31,6 +31,7 @@ from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, turns_enough
 from gyrocal_ros.diagnose.summarise import coarse_step
 from gyrocal_ros.diagnose.timing import TimingFault, stamp_jitter, timing_fault
+from gyrocal_ros.diagnose.unknown_law import structure_of
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import (
     is_estimated,
@@ -42,6 +43,9 @@ from gyrocal_ros.effects.traits import (
 from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
+
+BY_YAW = ('camera', 'wheels', 'ground')
+"""Places of effects that a wrong yaw of the camera imitates."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +111,8 @@ class Diagnosis:
     """Effect that would explain much, but not in all stretches alike: something else is missing."""
     wrong_yaw: str = ''
     """Clause on a camera whose yaw in its transform is wrong: neither camera nor wheels can be judged."""
+    rival_law: str = ''
+    """Clause on a law that explains nearly as much as a noise that was found; empty without."""
     is_open: bool = False
     """True where no missing effect has been added yet: fit and structure are those of the model without."""
 
@@ -128,7 +134,9 @@ def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
         missing = [item for item in missing if not item.is_unusual_noise]
     least = searched.last.settings.min_predictive_gain
     refuted = [item.effect.name for item in searched.additions if item.predictive_gain < least]
-    return _conclude(searched.first, searched.last, missing, recording, refuted)
+    rival = next((item.rival for item in searched.kept if item.rival is not None), None)
+    found = _conclude(searched.first, searched.last, missing, recording, refuted)
+    return found if rival is None else replace(found, rival_law=structure_of(rival).what)
 
 
 def diagnose_before_adding(
@@ -187,7 +195,7 @@ def _conclude(
     is_coarse = coarse_step_rad_s is not None
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     yaw = camera_yaw_fault(last.run)
-    if yaw and all(item.effect.acts_on in ('camera', 'wheels', 'ground') for item in missing):
+    if yaw and all(item.effect.acts_on in BY_YAW for item in missing):
         verdict = 'cannot_tell' if verdict in ('nothing_missing', 'effect_found') else verdict
     is_complete = verdict == 'nothing_missing'
     if is_complete:

@@ -25,6 +25,7 @@ from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import scatter_in_turns, walk_of_means, white_noise
 from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.traits import is_unusual, is_white_noise
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
@@ -39,6 +40,8 @@ JUMP_PART = 0.7
 LAW_PART = 0.45
 """Part of the gain of a noise that no gyro has above which what the bias or the scale follows is preferred to
 it: the signal need not explain all to be the cause."""
+ALIKE_PART = 0.8
+"""Part of the gain of a noise from which a law is told beside it: one recording cannot tell them apart."""
 RIVAL_PART = 0.85
 """Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
 EFFECT_PART = 0.5
@@ -186,8 +189,10 @@ def or_noise(
     found = _first_kept(first, noises, recording, calibrate)
     if found is None or found.predictive_gain < MIN_GAIN:
         return searched
-    if not _is_proven(found, searched, recording, calibrate):
+    rivals = _rivals(found, searched, recording, calibrate)
+    if rivals is None or any(_is_better(rival, found) for rival in rivals):
         return searched
+    found = replace(found, rival=_alike(rivals, found))
     return Search(first, tuple(continued([found], found.after, recording, calibrate, most)))
 
 
@@ -198,11 +203,13 @@ def _part_of_law(structure: UnexplainedStructure, noise: NoiseFit) -> float:
     return LAW_PART if is_unusual(noise.effect, noise.size) else math.inf
 
 
-def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate) -> bool:
-    """Return True if neither what was found, nor any effect or unknown law, does as well as a noise."""
+def _rivals(
+    found: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate
+) -> list[Addition] | None:
+    """Return the likeliest law and effect beside a noise; None where what was found does as well as that."""
     gain = predictive_gain(searched.last.run, found.after.run)
     if float(gain.sum() - gain.max()) < MIN_GAIN or model_fit(found.after.run).fits is not True:
-        return False
+        return None
     first = searched.first
     rivals = [likeliest_law(first, recording, calibrate)]
     best = max(first.ranked, key=lambda item: item.fit.gain, default=None)
@@ -210,7 +217,19 @@ def _is_proven(found: Addition, searched: Search, recording: RecordingSummary, c
         with suppress(*CANNOT_RUN):
             wider = examine(wider_model(first, best.effect), recording, calibrate, first.settings)
             rivals.append(addition(first, wider))
-    return not any(rival is not None and _is_better(rival, found) for rival in rivals)
+    return [rival for rival in rivals if rival is not None]
+
+
+def _alike(rivals: Sequence[Addition], found: Addition) -> Addition | None:
+    """Return the law that predicts nearly as well as a noise; None without. A jump is one of many."""
+    laws = [
+        rival
+        for rival in rivals
+        if rival.effect.name not in EFFECTS
+        and not isinstance(rival.effect, Step)
+        and rival.predictive_gain > ALIKE_PART * found.predictive_gain
+    ]
+    return max(laws, key=lambda rival: rival.predictive_gain, default=None)
 
 
 def _is_better(rival: Addition, found: Addition) -> bool:

@@ -13,7 +13,7 @@ from typing import Literal, TypeAlias
 
 from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join
 from gyrocal_ros.diagnose.comparison import Comparison
-from gyrocal_ros.diagnose.diagnosis import Diagnosis
+from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis
 from gyrocal_ros.diagnose.drift import SPAN_S, held_out_from_s
 from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement, change_in_words
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
@@ -54,6 +54,10 @@ OWN = (
 )
 WHAT_HAPPENED = (
     'Find what swings or is switched at those times, and record it: then other recordings gain, too.'
+)
+LAW_OR_NOISE = (
+    'Diagnose a second recording: a law shows there again, and `gyrocal learn --follows` finds it; noise '
+    'differs. Until then let `gyrocal improve` add the noise.'
 )
 TEST = 'Test the model on another recording.'
 LARGE_DRIFT_DEG = 1.0
@@ -183,7 +187,8 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
     if diagnosis.timing is not None:
         return _timing_status(diagnosis.timing)
     status = _status_of_effects(diagnosis, steps)
-    is_all = diagnosis.verdict == 'cannot_tell' and not diagnosis.missing and diagnosis.fit.fits is not False
+    imitated = all(item.effect.acts_on in BY_YAW for item in diagnosis.missing)
+    is_all = diagnosis.verdict == 'cannot_tell' and imitated and diagnosis.fit.fits is not False
     if diagnosis.wrong_yaw and is_all:  # the yaw is why
         status = replace(status, sentence='')
     return _with_wrong_yaw(status, diagnosis.wrong_yaw)
@@ -206,6 +211,8 @@ def _status_of_effects(diagnosis: Diagnosis, steps: NextSteps) -> Status:
         return Status('red', sentence, steps.learn)
     if diagnosis.verdict == 'noise' and (diagnosis.unusual_noise or diagnosis.harmful_noise):
         return Status('yellow', sentence, steps.learn)
+    if diagnosis.verdict == 'noise' and diagnosis.rival_law:
+        return Status('yellow', sentence, LAW_OR_NOISE)
     if diagnosis.missing:
         return Status('yellow', sentence, _adding([item.effect for item in diagnosis.missing], steps))
     if diagnosis.limits:
@@ -249,7 +256,10 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
             'a law that nothing recorded shows.'
         )
     if diagnosis.verdict == 'noise':
-        return f'Only noise: the gyro is noisier than the settings say ({join([*missing])}); no law is left.'
+        noisy = f'the gyro is noisier than the settings say ({join([*missing])})'
+        if diagnosis.rival_law:
+            return f'Only noise, or a law: {noisy}, or {diagnosis.rival_law}, which explains nearly as much.'
+        return f'Only noise: {noisy}; no law is left.'
     otherwise = CANNOT_TELL if diagnosis.fit.fits is not None else _sentence(_why_unjudged(diagnosis.fit))
     if diagnosis.verdict == 'nothing_missing':
         otherwise = _nothing_missing(len(diagnosis.fails_where))

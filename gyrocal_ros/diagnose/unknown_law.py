@@ -155,10 +155,10 @@ def _gain(before: Run, after: Run) -> float:
 
 def _saying(searched: Search, law: Addition) -> Search:
     """Return a search whose last model leaves a law unexplained."""
-    return searched.with_last(replace(searched.last, unexplained_structure=_structure(law)))
+    return searched.with_last(replace(searched.last, unexplained_structure=structure_of(law)))
 
 
-def _structure(law: Addition) -> UnexplainedStructure:
+def structure_of(law: Addition) -> UnexplainedStructure:
     """Describe a law that a run confirmed."""
     effect = law.effect
     kind, _, follows = effect.name.partition(':')

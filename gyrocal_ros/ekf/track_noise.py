@@ -22,7 +22,7 @@ TURN_PX_BY_SLOW = 25.0
 """Standard deviation of the error of a heading by slow errors, times the focal length, relative to the root
 of their variance (px^2 per px). In the first turns of four recordings of two other simulators the error was
 0.2 to 0.8 px."""
-MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.02, 5.0
+MIN_PIXEL_NOISE_PX, MAX_PIXEL_NOISE_PX = 0.01, 5.0
 """Bounds of the estimated pixel noise; at the upper one the images do not fit the estimate."""
 
 

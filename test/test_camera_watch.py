@@ -166,6 +166,23 @@ def test_the_time_between_images_and_gyro_is_followed_once_it_is_sure() -> None:
     assert not watch.with_time_offset(state, 10.0)[1]
 
 
+def test_a_time_that_changes_again_is_no_offset_of_the_stamps() -> None:
+    state, watch = some_state(0.0), CameraWatch(0)
+    told = []
+    for offset_s in (0.004, 0.03, 0.012):
+        information = np.zeros((COUNT, COUNT))
+        information[TIME, TIME] = (20.0 / 0.002) ** 2
+        left_s = offset_s - watch.time_offset_s
+        nis = information[TIME, TIME] * left_s**2 + 2.0
+        watch.add(0.1, (UpdateStats(nis, 2, information=information, score=information[:, TIME] * left_s),))
+        for step in range(4):
+            state, _ = watch.with_time_offset(state, 1.0 if step else 0.0)
+        told.append(watch.allowed_for)
+        watch.restart()
+    assert all('images are stamped late' in words for words in told[:2])
+    assert 'apart by changing times, now' in told[2] and 'images are stamped' not in told[2]
+
+
 def test_a_time_offset_that_has_gone_is_no_fault_any_more() -> None:
     state, watch = some_state(0.0), CameraWatch(0)
     information = np.zeros((COUNT, COUNT))

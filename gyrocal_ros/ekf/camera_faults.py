@@ -65,6 +65,14 @@ def time_fault(errors: Array, sigma: float) -> str:
     return f'{TIME} {abs(offset_ms):.{digits}f} ms apart ({sigma:.0f} sigma): {late}; {ASK_WHICH}'
 
 
+def changing_time_fault(errors: Array, sigma: float) -> str:
+    """Return that the stamps of images and gyro are apart by another time again, (1,) in s."""
+    return (
+        f'{TIME} apart by changing times, now {1e3 * float(errors[0]):+.1f} ms ({sigma:.0f} sigma): their '
+        f'clocks drift, or the model lacks an effect of the gyro; {ASK_WHICH}'
+    )
+
+
 @dataclass(frozen=True, slots=True)
 class CameraError:
     """An error of the camera, as an effect that the model lacks."""

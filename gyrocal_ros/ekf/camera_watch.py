@@ -17,7 +17,7 @@ from itertools import pairwise
 import numpy as np
 
 from gyrocal_ros.data import Array, changed
-from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS, time_fault
+from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS, changing_time_fault, time_fault
 from gyrocal_ros.ekf.positive_definite import inverse
 from gyrocal_ros.ekf.scale_watch import NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
@@ -47,6 +47,8 @@ SURE_S = 3.0
 """Time of measurements for which the time between images and gyro is significant before it is followed."""
 CLOCK_WALK = 1e-4
 """Random walk of the time between images and gyro, s/sqrt(s): clocks drift apart by up to 300 ppm."""
+CHANGES_TOLD = 3
+"""Number of times between images and gyro, each another one, from which it changes."""
 TOLD_S, TOLD_PART = 0.001, 0.2
 """Time between images and gyro from which an event tells it, and relative change until the next one."""
 
@@ -72,7 +74,7 @@ class CameraWatch:
         """Stamp minus true time of the images, as far as that is followed."""
         self.allowed_for = ''
         """What is followed, for the user."""
-        self._told_s = self._sure_s = 0.0
+        self._told_s, self._sure_s, self._times_told = 0.0, 0.0, 0
         self.restart()
 
     def restart(self) -> None:
@@ -156,8 +158,10 @@ class CameraWatch:
         if abs(self.time_offset_s - self._told_s) > max(TOLD_S, TOLD_PART * abs(self._told_s)):
             self._told_s = self.time_offset_s
             is_told = abs(self.time_offset_s) > TOLD_S
-            fault = time_fault(np.array([self.time_offset_s]), abs(value) / std)
-            self.allowed_for = fault if is_told else ''
+            self._times_told += is_told
+            fault = time_fault if self._times_told < CHANGES_TOLD else changing_time_fault
+            told = fault(np.array([self.time_offset_s]), abs(value) / std)
+            self.allowed_for = told if is_told else ''
         before = self.sums
         self.sums = normal_equations(before.information, before.score - value * before.information[:, TIME])
         self._nis -= before.explained - self.sums.explained

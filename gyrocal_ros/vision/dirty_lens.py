@@ -5,6 +5,6 @@ LIFETIME_S = 300.0
 MANY_MARKS = 8
 """Marks within `LIFETIME_S` that are reported; a few points of a ceiling are mistaken for marks."""
 MANY_MARKS_TEXT = (
-    'many features stay in the image while the robot moves; '
+    'many features stay in the image while most of it changes; '
     'clean the lens, and keep parts of the robot out of view'
 )

@@ -31,7 +31,14 @@ from gyrocal_ros.diagnose.run_series import (
     uncorrected,
     windows,
 )
-from gyrocal_ros.diagnose.status import DIAGNOSE, DOES_NOT_FIT, MORE_TURNS, calibration_status, turned_deg
+from gyrocal_ros.diagnose.status import (
+    DIAGNOSE,
+    DOES_NOT_FIT,
+    KNOWN_LATE,
+    MORE_TURNS,
+    calibration_status,
+    turned_deg,
+)
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
 from gyrocal_ros.ekf.camera_faults import TILT
@@ -403,6 +410,36 @@ class TestStatus:
     def test_green_needs_a_model_that_was_judged(self, run: Run, calibration: Calibration) -> None:
         status = calibration_status(calibration, run, ModelFit((), False))
         assert status.level == 'yellow' and 'too short' in status.sentence
+
+    def test_too_little_after_a_change_is_no_short_recording(
+        self, run: Run, calibration: Calibration
+    ) -> None:
+        history = run.history
+        followed = (np.arange(len(history.time_s)) == 50).astype(np.int8)
+        after = replace(run, history=replace(history, scale_followed=followed))
+        status = calibration_status(calibration, after, ModelFit((), False))
+        assert f'changed at {history.time_s[50]:.0f} s' in status.sentence
+        assert 'too short' not in status.sentence
+        late = replace(calibration, convergence_time_s=run.span.duration_s)
+        status = calibration_status(late, run, ModelFit((), True, 1.0, 1.1))
+        assert status.sentence.endswith(f'but {KNOWN_LATE}.')
+
+    @pytest.mark.parametrize(('walk', 'level'), [(2, 'green'), (4, 'yellow')])
+    def test_green_needs_a_bias_that_walks_about_as_set(
+        self, run: Run, calibration: Calibration, walk: int, level: str
+    ) -> None:
+        history = replace(run.history, bias_walk=np.full(len(run.history.time_s), walk, np.int8))
+        status = calibration_status(calibration, replace(run, history=history), FITS)
+        assert status.level == level
+        assert ('the bias of the gyro walks 4 times as much' in status.sentence) == (level == 'yellow')
+
+    def test_a_large_drift_is_named_before_the_scale_factor_is_known(
+        self, run: Run, calibration: Calibration
+    ) -> None:
+        unknown = replace(calibration, converged=False, convergence_time_s=None)
+        for drift_deg, is_named in ((0.9, False), (1.1, True)):
+            status = calibration_status(unknown, run, ModelFit((), True, 1.0, drift_deg))
+            assert ('deg in 60 s without the camera' in status.sentence) == is_named
 
     def test_green_needs_a_heading_that_lasts_a_minute(self, run: Run, calibration: Calibration) -> None:
         """A model with much noise fits a drift of any size."""

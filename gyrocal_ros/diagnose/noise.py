@@ -41,7 +41,7 @@ LAW_PART = 0.45
 """Part of the gain of a noise that no gyro has above which what the bias or the scale follows is preferred to
 it: the signal need not explain all to be the cause."""
 ALIKE_PART = 0.8
-"""Part of the gain of a noise from which a law is told beside it: one recording cannot tell them apart."""
+"""Part of the gain of a noise from which a law is named beside it: one recording cannot tell them apart."""
 RIVAL_PART = 0.85
 """Part of the best gain above which another noise is tried, where the robot drifts more with the best."""
 EFFECT_PART = 0.5

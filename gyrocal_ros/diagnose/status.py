@@ -150,11 +150,13 @@ def _drifts(fit: ModelFit) -> str:
 
 def _why_unsure(fit: ModelFit, run: Run) -> str:
     """Return why the drift says little of a calibration, as a clause."""
+    if fit.fits is not None:
+        return KNOWN_LATE
     followed_s = run.history.time_s[run.history.scale_followed > 0]
-    if len(followed_s) and not fit.is_unseen:
-        changed = f'the estimate of the scale factor changed at {followed_s[-1]:.0f} s'
-        return f'{changed}, and too little was recorded since then to judge the model'
-    return KNOWN_LATE if fit.fits is not None else _why_unjudged(fit)
+    if fit.is_unseen or not len(followed_s):
+        return _why_unjudged(fit)
+    changed = f'the estimate of the scale factor changed at {followed_s[-1]:.0f} s'
+    return f'{changed}, and too little was recorded since then to judge the model'
 
 
 def _why_unjudged(fit: ModelFit) -> str:

@@ -19,10 +19,12 @@ from gyrocal_ros.data import (
     FeatureObservations,
     ImuSample,
     Measurement,
+    TruthSample,
     WheelSample,
 )
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import model_from_dict
+from gyrocal_ros.ekf.noise_bank import MUCH_WALK
 from gyrocal_ros.files import shipped
 from gyrocal_ros.msgs import clouds, topics
 from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role
@@ -30,6 +32,9 @@ from gyrocal_ros.msgs.transforms import IDENTITY, UPSIDE_DOWN, Transform
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.in_memory import InMemorySource
+from gyrocal_ros.sim.scenarios import find_scenario
+from gyrocal_ros.sim.sensors import with_bias_walk
+from gyrocal_ros.sim.world import SimSource
 
 
 @cache
@@ -50,6 +55,23 @@ def test_ordered_arrival_gives_the_result_of_a_replay() -> None:
     np.testing.assert_allclose(live.covariance, wanted.covariance, rtol=1e-9)
     assert live.converged and wanted.converged
     assert live.convergence_time_s == pytest.approx(wanted.convergence_time_s, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_a_bias_that_walks_is_followed_as_in_a_replay() -> None:
+    """What contradicted the filter before it expected the walk does not count, and a law may be behind it."""
+    scenario = replace(find_scenario('cleaning'), duration_s=50.0, imu_hz=100, camera_hz=5)
+    errors = with_bias_walk(scenario.errors, 64.0 * Config().gyro.bias_walk_deg_s, bounded_s=1e5)
+    walking = SimSource(replace(scenario, errors=errors), seed=6)
+    new = robot()
+    new.mount(walking.rig)
+    new.run(item for item in walking.measurements() if not isinstance(item, TruthSample))
+    run = calibrate(walking, Config(), default_model(), follows_changes=True)
+    assert run.history.bias_walk[-1] >= MUCH_WALK
+    assert new.reported('the bias of the gyro walks')
+    assert new.statuses[-1][1].numbers['model_fits'] == 'unknown'
+    new.live.close()
+    np.testing.assert_allclose(new.live.calibration.covariance, conclude(run).covariance, rtol=1e-9)
 
 
 @pytest.mark.slow

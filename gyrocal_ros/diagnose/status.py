@@ -260,7 +260,7 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
     if diagnosis.verdict == 'noise':
         noisy = f'the gyro is noisier than the settings say ({join([*missing])})'
         if diagnosis.rival_law:
-            return f'Only noise, or a law: {noisy}, or {diagnosis.rival_law}, which explains nearly as much.'
+            return f'Noise, or a law: {noisy}, or {diagnosis.rival_law}, which explains nearly as much.'
         return f'Only noise: {noisy}; no law is left.'
     otherwise = CANNOT_TELL if diagnosis.fit.fits is not None else _sentence(_why_unjudged(diagnosis.fit))
     if diagnosis.verdict == 'nothing_missing':

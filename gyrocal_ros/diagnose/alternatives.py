@@ -42,11 +42,11 @@ def best_alternative(found: Search, recording: RecordingSummary, calibrate: Cali
     confused = look_alikes(found) if len(found.kept) > 1 else {}
     best = found
     for item in found.kept:
-        others = _displacing(found, item)
-        if item.before is None or not (others or confused.get(item.effect.name)):
+        other = _displacing(found, item)
+        if item.before is None or not (other or confused.get(item.effect.name)):
             continue
         additions = [*found.additions[: found.additions.index(item)]]
-        for other in others:
+        if other is not None:
             with suppress(*CANNOT_RUN):
                 additions.append(with_one_more(item.before, other, recording, calibrate))
         changed = replace(found, additions=tuple(_without(item, additions, recording, calibrate, most)))
@@ -69,11 +69,10 @@ def _without(
     return continued(additions, present, recording, calibrate, most, frozenset([item.effect.name]))
 
 
-def _displacing(found: Search, item: Addition) -> list[Effect]:
-    """Return the effect that was left out, and beside which almost nothing is left of one that was added.
+def _displacing(found: Search, item: Addition) -> Effect | None:
+    """Return the best effect that was left out and leaves almost nothing of one that was added; or None.
 
-    With it the recording is predicted better, yet beside what it displaces it may be rejected. The one that
-    predicts best comes alone.
+    With it the recording is predicted better, yet beside what it displaces it may be rejected.
     """
     least = found.first.settings.min_predictive_gain
     rejected = [
@@ -81,7 +80,7 @@ def _displacing(found: Search, item: Addition) -> list[Effect]:
         for other in found.additions
         if not other.is_kept and other.predictive_gain > least and _displaces(other, item)
     ]
-    return [max(rejected, key=lambda other: other.predictive_gain).effect] if rejected else []
+    return max(rejected, key=lambda other: other.predictive_gain).effect if rejected else None
 
 
 def _displaces(rejected: Addition, kept: Addition) -> bool:

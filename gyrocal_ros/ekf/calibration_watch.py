@@ -17,7 +17,7 @@ from gyrocal_ros.data import Array, quickly_filled
 from gyrocal_ros.ekf.camera_watch import CameraWatch
 from gyrocal_ros.ekf.drift_suspicion import DRIFT_STD, USUAL_DRIFT_STD, HeadingErrors
 from gyrocal_ros.ekf.heading import HeadingReference
-from gyrocal_ros.ekf.noise_bank import NoiseBank
+from gyrocal_ros.ekf.noise_bank import NoiseBank, walks_more
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.scale_watch import ScaleChange, ScaleWatch
 from gyrocal_ros.ekf.start import initial_state
@@ -202,10 +202,7 @@ class CalibrationWatch:
         """Yield an event if the bias walks by a larger factor, relative to the settings, than was told."""
         if least > self._told_walk:
             self._told_walk = least
-            yield (
-                f'the bias of the gyro walks at least {least:.0f} times as much as the setting '
-                'gyro.bias_walk_deg_s; `gyrocal diagnose` looks for the cause'
-            )
+            yield f'{walks_more(least, "at least ")}; `gyrocal diagnose` looks for the cause'
 
     def _suspected_std(self, state: State, duration_s: float) -> Array:
         """Return the standard deviations by suspected errors, and note what is wrong."""

@@ -44,9 +44,10 @@ _WHITE, _WALK = (axis.ravel() for axis in np.meshgrid(WHITE, WALK))
 _LOG_PRIOR = -0.5 * sum((0.5 * np.log(ratio) / math.log(USUAL_FACTOR)) ** 2 for ratio in (_WHITE, _WALK))
 
 
-def walks_more(relative: float) -> str:
-    """Return what is wrong with the settings of the bias, as a clause."""
-    return f'the bias of the gyro walks {relative:.0f} times as much as the setting gyro.bias_walk_deg_s'
+def walks_more(relative: float, qualifier: str = '') -> str:
+    """Return what is wrong with the setting of the walk, as a clause, with words such as `at least `."""
+    times = f'{qualifier}{relative:.0f} times'
+    return f'the bias of the gyro walks {times} as much as the setting gyro.bias_walk_deg_s'
 
 
 class NoiseBank:

@@ -14,7 +14,7 @@ from gyrocal_ros.config.sections import Config, ConvergenceConfig
 from gyrocal_ros.data import Rig
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.camera_faults import camera_fault, time_fault
+from gyrocal_ros.ekf.camera_faults import time_fault, told_fault
 from gyrocal_ros.ekf.camera_watch import GATE, PRIOR_STD, TIME, CameraWatch
 from gyrocal_ros.ekf.convergence import CONSISTENCY_STEPS, STEPS_AFTER_CHANGE, Convergence
 from gyrocal_ros.ekf.run import Run
@@ -117,7 +117,7 @@ def calibrated(name: str, *values: float, adds: bool = False) -> tuple[Run, floa
 
 def told(run: Run, first_words: str) -> float:
     """Return the size of the fault of the camera that a run told last."""
-    faults = [camera_fault(event.text) for event in run.events]
+    faults = [told_fault(event.text) for event in run.events]
     fault = [words for words, remedy in faults if remedy.startswith('a diagnosis')][-1]
     assert fault.startswith(first_words)
     (number, *_) = re.findall(r'[0-9.]+', fault)

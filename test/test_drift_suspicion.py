@@ -78,7 +78,7 @@ def test_slow_errors_count_over_the_turn_that_the_scale_factor_is_from(
     watch = ScaleWatch(state, is_stored=is_stored)
     state = watch.begin(state)
     for _ in range(4):
-        watch.add(1.0, (), None, 1.0, HeadingErrors(slow_rad=1e-3, are_by_tracks=True))
+        watch.add(1.0, (), (), 1.0, HeadingErrors(slow_rad=1e-3, are_by_tracks=True))
     assert watch.suspected_std(state) == pytest.approx(expected)
 
 

@@ -29,11 +29,11 @@ from gyrocal_ros.data import (
 from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
 from gyrocal_ros.ekf.effects_by_place import MotionContribution
 from gyrocal_ros.ekf.intervals import PAUSE_NS
+from gyrocal_ros.ekf.normal_equations import NOTHING, normal_equations
 from gyrocal_ros.ekf.positive_definite import whitener
 from gyrocal_ros.ekf.process_noise import BlockNoise
 from gyrocal_ros.ekf.reference_noise import ReferenceNoise
 from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
-from gyrocal_ros.ekf.scale_watch import NOTHING, normal_equations
 from gyrocal_ros.ekf.state import State, no_landmarks
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
 from gyrocal_ros.ekf.update import Innovation
@@ -352,7 +352,9 @@ def scale_changes(
     matrix, direction = covariance(rng, others), rng.normal(size=others)
     if others:
         direction *= math.sqrt(others_explained / (direction @ np.linalg.solve(matrix, direction)))
-    return sums, normal_equations(matrix, direction), 2e4, 0.2
+    start = others // 2
+    group = normal_equations(matrix[start:, start:], direction[start:])
+    return sums, group, start, 2e4, 0.2
 
 
 def equations_added(rng: np.random.Generator, count: int) -> Arguments:
@@ -634,7 +636,7 @@ def test_changes_of_the_scale_with_and_without_other_errors(others_explained: fl
 @pytest.mark.parametrize('forms', FORMS)
 def test_a_change_of_which_nothing_is_known(forms: dict[str, Callable[..., Any]]) -> None:
     sums = np.array([[0.0, 0.0, 9.0, 1.0], [0.0, 0.0, 0.0, 1.0]])
-    values, variances, sigmas = forms['scale_changes'](sums, NOTHING, 1.0, 1.0)
+    values, variances, sigmas = forms['scale_changes'](sums, NOTHING, 0, 1.0, 1.0)
     assert not values.any() and not sigmas.any() and (variances > 1e300).all()
 
 

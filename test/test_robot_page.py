@@ -20,6 +20,7 @@ SOURCES = [
     *(ROOT / 'gyrocal_ros' / 'robot').glob('*.py'),
     ROOT / 'gyrocal_ros' / 'board' / 'link.py',
     ROOT / 'gyrocal_ros' / 'ekf' / 'camera_faults.py',
+    ROOT / 'gyrocal_ros' / 'ekf' / 'law_watch.py',
     ROOT / 'gyrocal_ros' / 'ekf' / 'noise_bank.py',
     ROOT / 'gyrocal_ros' / 'ekf' / 'way_agreement.py',
     ROOT / 'gyrocal_ros' / 'model' / 'faulty_readings.py',

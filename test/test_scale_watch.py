@@ -191,7 +191,7 @@ def test_an_error_that_headings_have_in_common_is_no_change(turned_rad: float, i
     """Its standard deviation, over the turn, is one of the change besides that by the innovations."""
     watch, _ = some_watch()
     change, repeated_rad = 0.005, 2e-4
-    found = watch.add(1.0, (stats(1e6, change),), None, turned_rad, HeadingErrors(repeated_rad))
+    found = watch.add(1.0, (stats(1e6, change),), (), turned_rad, HeadingErrors(repeated_rad))
     assert (found is not None) == is_change
     if found is not None:
         assert found.std == pytest.approx(math.hypot(1e-3, repeated_rad / turned_rad))

@@ -21,7 +21,7 @@ from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.effects.traits import holds_once
-from gyrocal_ros.ekf.camera_faults import camera_fault
+from gyrocal_ros.ekf.camera_faults import told_fault
 from gyrocal_ros.ekf.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
@@ -110,7 +110,7 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         fit: whether the model fits the run.
     """
     criteria, converged_s = run.config.convergence, calibration.convergence_time_s
-    threshold, (fault, remedy) = f'{100.0 * criteria.scale_std:g} %', _camera_fault(run)
+    threshold, (fault, remedy) = f'{100.0 * criteria.scale_std:g} %', _fault(run)
     if fit.misfits:
         return Status('red', f'Not to be trusted: {"; ".join(fit.misfits)}; {DOES_NOT_FIT}', DIAGNOSE)
     if converged_s is None:
@@ -164,9 +164,9 @@ def _why_unjudged(fit: ModelFit) -> str:
     return UNSEEN if fit.is_unseen else UNJUDGED
 
 
-def _camera_fault(run: Run) -> tuple[str, str]:
-    """Return what is wrong with the camera, and what to do about it; both empty without."""
-    found = [fault for fault in (camera_fault(event.text) for event in run.events) if fault[0]]
+def _fault(run: Run) -> tuple[str, str]:
+    """Return what is wrong with camera or gyro, and what to do about it; both empty without."""
+    found = [fault for fault in (told_fault(event.text) for event in run.events) if fault[0]]
     return (found[-1][0], _sentence(found[-1][1])) if found else ('', '')
 
 

@@ -1,4 +1,4 @@
-"""What speaks against the calibration: a changed scale factor, a wrong camera, a wrong heading reference.
+"""What speaks against the calibration: a scale factor that changes or depends on the rate, a wrong reference.
 
 Each is tested at every step by the innovations. What is suspected adds to the standard deviations, and a
 scale factor that has changed is followed where that is wanted, as is the time between images and gyro.
@@ -14,9 +14,11 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config, GyroConfig
 from gyrocal_ros.data import Array, quickly_filled
+from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS
 from gyrocal_ros.ekf.camera_watch import CameraWatch
 from gyrocal_ros.ekf.drift_suspicion import DRIFT_STD, USUAL_DRIFT_STD, HeadingErrors
 from gyrocal_ros.ekf.heading import HeadingReference
+from gyrocal_ros.ekf.law_watch import LAWS, LawWatch
 from gyrocal_ros.ekf.noise_bank import NoiseBank, walks_more
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.scale_watch import ScaleChange, ScaleWatch
@@ -24,7 +26,7 @@ from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW, YAW_BIAS, State, with_further_errors
 from gyrocal_ros.ekf.track_noise import TrackNoise
 from gyrocal_ros.ekf.update import UpdateStats
-from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.model.sensor import Effect, SensorModel
 
 MOST_CHANGE = 0.5
 """Largest change of the scale factor that is followed: one that is larger is no change of a gyro."""
@@ -47,6 +49,13 @@ class Suspicions:
     """Random walk of the bias that is expected, relative to the settings."""
 
 
+def watched_effects(*, tests_camera: bool, tests_laws: bool) -> tuple[Effect, ...]:
+    """Return the effects that are tested, in the order of their columns in the sensitivity."""
+    errors = [error.effect for error in CAMERA_ERRORS if tests_camera]
+    laws = [law for law, _ in LAWS if tests_laws]
+    return (*errors, *laws)
+
+
 class CalibrationWatch:
     """Tests the scale factor, and the camera or the heading reference.
 
@@ -54,9 +63,11 @@ class CalibrationWatch:
         state: initial state of the filter.
         model: the sensor model.
         config: settings.
-        camera: test of the camera; None for a robot without one, or without features in pixels.
         heading: the heading reference; None for a robot with a camera.
         focal_px: focal length of the camera; infinite without one.
+        first: index of the first column of these tests in the sensitivity.
+        tests_camera: True for a robot with a camera whose features are measured in pixels.
+        tests_laws: True to test whether the scale factor depends on the rate.
         is_stored: True if the first scale factor is that of an earlier calibration.
         follows_changes: True to let the state follow a changed scale factor, and a bias that walks by more
             than set.
@@ -67,20 +78,27 @@ class CalibrationWatch:
         state: State,
         model: SensorModel,
         config: Config,
-        camera: CameraWatch | None,
         heading: HeadingReference | None,
         focal_px: float,
         *,
+        first: int,
+        tests_camera: bool,
+        tests_laws: bool,
         is_stored: bool,
         follows_changes: bool,
     ) -> None:
-        self._camera, self._heading, self._focal_px = camera, heading, focal_px
+        names = {effect.name for effect in model.effects}
+        self._camera = CameraWatch(first, names) if tests_camera else None
+        after = first + CameraWatch.count if tests_camera else first
+        self._laws = LawWatch(after, names) if tests_laws else None
+        self._watches = [watch for watch in (self._camera, self._laws) if watch is not None]
+        self._heading, self._focal_px = heading, focal_px
         unknown = initial_state(model, config, None)
         self._unknown_std = np.sqrt(unknown.covariance.diagonal()[YAW_BIAS:])
         """(1 + k,) standard deviations of yaw bias and coefficients where nothing is known."""
         self._scale = ScaleWatch(
             state,
-            CameraWatch.count if camera is not None else 0,
+            sum(watch.count for watch in self._watches),
             DRIFT_STD if heading is None else USUAL_DRIFT_STD,
             config.convergence.scale_std,
             is_stored=is_stored,
@@ -133,9 +151,9 @@ class CalibrationWatch:
             tracks: what is known of the errors of the features.
         """
         camera = self._camera
-        if camera is not None:
-            camera.add(duration_s, updates)
-        sums = None if camera is None else camera.sums
+        for watch in self._watches:
+            watch.add(duration_s, updates)
+        sums = [watch.sums for watch in self._watches]
         turned_rad = float(predicted.mean[YAW] - before.mean[YAW])
         errors = HeadingErrors(
             tracks.common_px / self._focal_px, tracks.turn_px / self._focal_px, tracks.are_tracked
@@ -147,15 +165,15 @@ class CalibrationWatch:
             state = self._scale.follow(state, change)
             if self._is_stored and change.was_calibrated:
                 state = self._without_stored(state)
-            if camera is not None:
-                camera.restart()
+            for watch in self._watches:
+                watch.restart()
             if self._noise is not None:
                 self._noise.begin(state)
             events += [str(change)] if change.was_calibrated else []
         elif change is None and camera is not None and self._follows_changes:
             state = self._with_time_offset(state, camera, duration_s if updates[-1].dof else 0.0)
         if self._noise is not None:
-            self._noise.add(predicted, state, duration_s)
+            self._noise.add(predicted, state, duration_s, 0.0 if self._laws is None else self._laws.explained)
             state = self._with_larger_walk(state, self._noise)
             events += self._walk_events(self._noise.least_walk)
         std = self._suspected_std(state, duration_s)
@@ -173,8 +191,8 @@ class CalibrationWatch:
         self._largest_walk = noise.walk
         state = with_further_errors(state, np.arange(YAW_BIAS, state.robot_size), noise.unexpected_std(state))
         noise.begin(state)
-        if self._camera is not None:
-            self._camera.restart()
+        for watch in self._watches:
+            watch.restart()
         return self._scale.begin(state)
 
     def _without_stored(self, state: State) -> State:
@@ -194,6 +212,8 @@ class CalibrationWatch:
         if not has_changed:
             return state
         self._has_told = self._has_told and camera.allowed_for == told
+        if self._laws is not None:
+            self._laws.restart()
         if self._noise is not None:
             self._noise.begin(state)
         return self._scale.begin(state)
@@ -205,14 +225,20 @@ class CalibrationWatch:
             yield f'{walks_more(least, "at least ")}; `gyrocal diagnose` looks for the cause'
 
     def _suspected_std(self, state: State, duration_s: float) -> Array:
-        """Return the standard deviations by suspected errors, and note what is wrong."""
-        std = np.zeros(1 + state.coefficient_count)
+        """Return the standard deviations by suspected errors, and note what is wrong most of all."""
+        std, reference_explains = np.zeros(1 + state.coefficient_count), 0.0
         std[SCALE : SCALE + 1] = self._scale.suspected_std(state)
         if self._camera is not None:
             shift = self._camera.shift(state)
             self.finding = self._camera.finding(duration_s, state, shift)
             std = std if shift is None else np.hypot(std, shift)
+            reference_explains = self._camera.explained
         elif self._heading is not None:
             self.finding = self._heading.finding
             std = np.hypot(std, self._heading.suspected_std(self._unknown_std))
+        if self._laws is not None:
+            law = self._laws.finding(duration_s)
+            if law and self._laws.explained > reference_explains:
+                self.finding = law
+            std = np.hypot(std, self._laws.suspected_std(state))
         return std if self._noise is None else np.hypot(std, self._noise.unexpected_std(state))

@@ -18,8 +18,8 @@ import numpy as np
 
 from gyrocal_ros.data import Array, changed
 from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS, changing_time_fault, time_fault
+from gyrocal_ros.ekf.normal_equations import NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.positive_definite import inverse
-from gyrocal_ros.ekf.scale_watch import NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.statistics import chi_square_quantile
@@ -99,6 +99,11 @@ class CameraWatch:
     @property
     def _is_significant(self) -> bool:
         return self._significance(self.sums.explained) >= GATE
+
+    @property
+    def explained(self) -> float:
+        """Part of the NIS that significant errors explain, relative to what is left; 0 without."""
+        return self._significance(self.sums.explained) if self._is_significant else 0.0
 
     @property
     def errors(self) -> Array:

@@ -41,6 +41,7 @@ GROWN = 1.5
 """Variance, relative to the expected one, from which the filter has let an estimate go."""
 
 _WHITE, _WALK = (axis.ravel() for axis in np.meshgrid(WHITE, WALK))
+_AS_SET = int(np.flatnonzero((_WHITE == 1.0) & (_WALK == 1.0))[0])
 _LOG_PRIOR = -0.5 * sum((0.5 * np.log(ratio) / math.log(USUAL_FACTOR)) ** 2 for ratio in (_WHITE, _WALK))
 
 
@@ -86,8 +87,15 @@ class NoiseBank:
         self._relative_std[:] = 0.0
         self._time_s = 0.0
 
-    def add(self, predicted: State, state: State, duration_s: float) -> None:
-        """Take a step of the filter: the predicted state and that after the measurements, and its length."""
+    def add(self, predicted: State, state: State, duration_s: float, explained: float = 0.0) -> None:
+        """Take a step of the filter.
+
+        Args:
+            predicted: the predicted state.
+            state: after the measurements.
+            duration_s: length of the step.
+            explained: part of the NIS that another error explains: a walk that explains less is none.
+        """
         # Random walks, and what ageing and warming add at the start.
         self._grown = variances_grown(self._grown, self._last, predicted.covariance, self._places)
         self._last = self._variances(state)
@@ -104,8 +112,9 @@ class NoiseBank:
         self._time_s = 0.0
         errors = self._covariances.diagonal(axis1=1, axis2=2) + (self._means - mean) ** 2
         weights = self.weights
-        self.least_walk = self._walk_by(weights, CERTAIN)
-        if self._follows:
+        if self._explained > explained:
+            self.least_walk = self._walk_by(weights, CERTAIN)
+        if self._follows and self._explained > explained:
             self.walk = self._walk_by(weights, 0.5) if self.least_walk > 1.0 else 1.0
         excess = weights @ errors / covariance.diagonal() - 1.0
         self._relative_std[self._places - YAW_BIAS] = np.sqrt(np.maximum(excess, 0.0))
@@ -114,6 +123,11 @@ class NoiseBank:
         """Return the standard deviations (1 + k,) of the errors by noise that the filter does not expect."""
         std: Array = self._relative_std * np.sqrt(state.covariance.diagonal()[YAW_BIAS : state.robot_size])
         return std
+
+    @property
+    def _explained(self) -> float:
+        """Part of the NIS that the likeliest noise explains beyond that of the settings."""
+        return 2.0 * float(self._log_likelihoods.max() - self._log_likelihoods[_AS_SET])
 
     @staticmethod
     def _walk_by(weights: Array, probability: float) -> float:

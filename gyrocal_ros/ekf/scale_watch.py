@@ -12,12 +12,13 @@ adds to the standard deviation; the state follows the steps only.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
-from gyrocal_ros.data import Array, changed, quickly_filled
+from gyrocal_ros.data import Array, changed
 from gyrocal_ros.ekf.drift_suspicion import (
     CHANCE_SIGMA,
     DRIFT_MEMORY_S,
@@ -30,7 +31,8 @@ from gyrocal_ros.ekf.drift_suspicion import (
     Ramp,
     suspected_drift,
 )
-from gyrocal_ros.ekf.positive_definite import inverse, solve
+from gyrocal_ros.ekf.normal_equations import NOTHING, NormalEquations
+from gyrocal_ros.ekf.positive_definite import inverse
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
 from gyrocal_ros.ekf.update import UpdateStats, add_lacking
 from gyrocal_ros.kernels import compiled
@@ -77,47 +79,6 @@ NOT_SEPARABLE = 1e-9
 """Smallest share of the information on a change that is left beside other errors, against rounding."""
 
 
-@quickly_filled
-@dataclass(frozen=True, slots=True, eq=False)
-class NormalEquations:
-    """Sums over a run for q errors that are estimated together."""
-
-    information: Array
-    """(q, q)"""
-    score: Array
-    """(q,)"""
-    values: Array
-    """(q,) estimates."""
-    explained: float
-    """Part of the NIS that they explain."""
-
-
-def normal_equations(information: Array, score: Array) -> NormalEquations:
-    """Estimate errors by the information on them (q, q) and their score (q,)."""
-    values = solve(information, score)
-    return NormalEquations(information, score, values, float(score @ values))
-
-
-@compiled
-def equations_added(
-    sums: NormalEquations, information: Array, score: Array, first: int
-) -> tuple[Array, Array, Array, float]:
-    """Return the fields of `NormalEquations` of q errors after an update.
-
-    Args:
-        sums: before.
-        information: (c, c) of the update, on these errors and others.
-        score: (c,)
-        first: index of the first of them.
-    """
-    own = slice(first, first + len(sums.score))
-    information, score = sums.information + information[own, own], sums.score + score[own]
-    values = solve(information, score)
-    return information, score, values, float(score @ values)
-
-
-NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0)
-"""No errors that are tested beside."""
 INFORMATION, SCORE, NIS, DOF = range(4)
 CROSS = slice(4, None)
 """Columns of the sums of a `ScaleWatch`; the last ones hold the information together with other errors."""
@@ -198,7 +159,7 @@ class ScaleWatch:
         self,
         duration_s: float,
         updates: tuple[UpdateStats, ...],
-        others: NormalEquations | None = None,
+        others: Sequence[NormalEquations] = (),
         turned_rad: float = 0.0,
         errors: HeadingErrors = EXACT,
     ) -> ScaleChange | None:
@@ -211,7 +172,7 @@ class ScaleWatch:
         Args:
             duration_s: length of the step.
             updates: its updates, the last one by the image or the heading.
-            others: errors that are tested beside.
+            others: groups of errors that are tested beside, in the order of their columns.
             turned_rad: by how much the robot has turned to the left in the step.
             errors: of the headings.
         """
@@ -230,9 +191,7 @@ class ScaleWatch:
         self._significant_s += duration_s if is_measured and self._significant_s > 0.0 else 0.0
         self._walk *= math.exp(-0.5 * duration_s / DRIFT_MEMORY_S)
         self._followed = self._followed.after(duration_s, side_rad if is_measured else 0.0)
-        values, variances, sigmas = scale_changes(
-            self._sums, NOTHING if others is None else others, MAX_STD**-2.0, self._age_s(RAMP) / RAMP_S
-        )
+        values, variances, sigmas = self._changes(others)
         self._ramp, self._ramp_variance = values.item(RAMP), variances.item(RAMP)
         self._ramp_sigma = sigmas.item(RAMP)
         sigma = max(sigmas.tolist()[:RAMP])
@@ -250,6 +209,14 @@ class ScaleWatch:
         best = int(sigmas[:RAMP].argmax())
         std, was_calibrated = math.sqrt(variances[best]), bool(self._was_calibrated[best])
         return ScaleChange(self._first + best, float(values[best]), std, sigma, was_calibrated)
+
+    def _changes(self, others: Sequence[NormalEquations]) -> tuple[Array, Array, Array]:
+        """Return the changes, as `scale_changes`, beside the group of errors that leaves least of them."""
+        grown, first, found = self._age_s(RAMP) / RAMP_S, 0, []
+        for group in others or (NOTHING,):
+            found.append(scale_changes(self._sums, group, first, MAX_STD**-2.0, grown))
+            first += len(group.score)
+        return min(found, key=lambda changes: max(changes[2].tolist()[:RAMP]))
 
     def _age_s(self, column: int) -> float:
         """Return the time since the beginning of a window."""
@@ -364,26 +331,28 @@ def scores_added(sums: Array, information: Array, score: Array, nis: float, dof:
 
 @compiled
 def scale_changes(
-    sums: Array, others: NormalEquations, least: float, grown: float
+    sums: Array, others: NormalEquations, first: int, least: float, grown: float
 ) -> tuple[Array, Array, Array]:
     """Return q changes, each estimated alone, their variances and their significances in sigma, (q,) each.
 
     Args:
         sums: (q, 4 + p) as of `ScaleWatch`.
-        others: the p other errors. Where they explain the innovations better than any change, only what they
-            do not explain can be a change.
+        others: a group of r of the p other errors. Where they explain the innovations better than any change,
+            more than by chance, only what they do not explain can be a change.
+        first: index of the first of them.
         least: information on a change below which nothing is significant.
         grown: part of one to which the last change, a ramp, has grown; it counts as what it is so far.
 
     Raises:
         FilterDivergedError: the information on the other errors is not positive definite.
     """
-    information, score, cross = sums[:, INFORMATION], sums[:, SCORE], sums[:, CROSS]
+    information, score = sums[:, INFORMATION], sums[:, SCORE]
+    cross = sums[:, CROSS][:, first : first + len(others.score)]
     least_each = np.full(len(sums), least)
     least_each[RAMP] *= grown**2
     information = np.maximum(information, TINY)
     explained = score**2 / information
-    if others.explained > explained.max():
+    if others.explained - len(others.score) > explained.max():
         # The Schur complement: change and other errors are estimated together.
         by_others = cross @ inverse(others.information)
         left = information - np.sum(by_others * cross, axis=1)

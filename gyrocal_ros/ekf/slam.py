@@ -23,9 +23,7 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.ekf.admission import Admission
-from gyrocal_ros.ekf.calibration_watch import CalibrationWatch
-from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS
-from gyrocal_ros.ekf.camera_watch import CameraWatch
+from gyrocal_ros.ekf.calibration_watch import CalibrationWatch, watched_effects
 from gyrocal_ros.ekf.certain_way import is_certain, without_way
 from gyrocal_ros.ekf.considered import stretch_by_values
 from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
@@ -85,8 +83,9 @@ class EkfSlam:
     ) -> None:
         self.model, self.config, self.rig = model, config, rig
         self.parametrisation = PARAMETRISATIONS[config.features.parametrisation]
-        tests_camera = rig.camera is not None and self.parametrisation.rows == 2
-        watched = [error.effect for error in CAMERA_ERRORS] if tests_camera else []
+        tests_laws = self.parametrisation.rows == 2
+        tests_camera = tests_laws and rig.camera is not None
+        watched = watched_effects(tests_camera=tests_camera, tests_laws=tests_laws)
         self._effects = sort_effects(model.effects)
         self._candidates = sort_effects((*candidates, *watched), more=COLUMNS)
         self._own_candidates = sum(len(effect.coefficients) for effect in candidates)
@@ -121,11 +120,11 @@ class EkfSlam:
             self.state,
             model,
             config,
-            CameraWatch(self._own_candidates, {effect.name for effect in model.effects})
-            if tests_camera
-            else None,
             self._heading if rig.camera is None else None,
             math.inf if rig.camera is None else rig.camera.fx_px,
+            first=self._own_candidates,
+            tests_camera=tests_camera,
+            tests_laws=tests_laws,
             is_stored=start is not None,
             follows_changes=follows_changes,
         )

@@ -109,16 +109,16 @@ def variances_grown(grown, before, expected, places):
     return total
 
 
-def scale_changes(sums, others, double least, double grown):
+def scale_changes(sums, others, Py_ssize_t first, double least, double grown):
     cdef Array of_windows = doubles(sums), others_score = doubles(others.score), work, precision = None
-    cdef Py_ssize_t q = length(of_windows), width = length(of_windows, 1), p = width - CROSS, i, j, l
+    cdef Py_ssize_t q = length(of_windows), width = length(of_windows, 1), p = length(others_score), i, j, l
     cdef double others_explained = others.explained, explained = 0.0, known, left, weight, seen
     cdef Array values = vector(q), variances = vector(q), sigmas = vector(q)
     cdef const double* sum_
     for i in range(q):
         sum_ = at(of_windows) + i * width
         explained = max(explained, sum_[SCORE] * sum_[SCORE] / max(sum_[INFORMATION], DBL_MIN))
-    cdef bint beside = others_explained > explained
+    cdef bint beside = others_explained - p > explained
     if beside:
         work, precision = copied(doubles(others.information)), matrix(p, p)
         if not invert(at(work), at(precision), p):
@@ -131,8 +131,8 @@ def scale_changes(sums, others, double least, double grown):
             for j in range(p):
                 weight = 0.0
                 for l in range(p):
-                    weight += sum_[CROSS + l] * at(precision)[l * p + j]
-                left -= weight * sum_[CROSS + j]
+                    weight += sum_[CROSS + first + l] * at(precision)[l * p + j]
+                left -= weight * sum_[CROSS + first + j]
                 seen -= weight * at(others_score)[j]
             left = max(left, NOT_SEPARABLE * known)
         at(values)[i] = seen / left

@@ -1,0 +1,115 @@
+"""A scale factor that depends on the rate or the side is found, and its shift counts in the deviations."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from recordings import recording
+
+from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.status import calibration_status
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.camera_faults import told_fault
+from gyrocal_ros.ekf.law_watch import CHANCE_SIGMA, LAWS, RATES, SETTLE_S, SIDES, SIGNIFICANT_SIGMA, LawWatch
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.start import initial_state
+from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, State
+from gyrocal_ros.ekf.update import UpdateStats
+from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.calibration import conclude
+from gyrocal_ros.sim.forward import HiddenEffect
+
+CUBIC, BY_CUBIC = 0, -2.0
+
+
+def some_state() -> State:
+    """Return a state whose scale factor depends on the cubic law."""
+    state = initial_state(default_model(), Config(), None, len(LAWS))
+    state.sensitivity[COEFFICIENTS_START, CUBIC] = BY_CUBIC
+    return state
+
+
+def stats_of(value: float, sigma: float, nis: float = 0.0, dof: int = 100) -> UpdateStats:
+    """Return updates, in one, that show a cubic law of a size with a significance."""
+    information = np.zeros(len(LAWS))
+    information[CUBIC] = (sigma / value) ** 2
+    return UpdateStats(sigma**2 + nis, dof, information=np.diag(information), score=information * value)
+
+
+def watch_of(*updates: UpdateStats, estimated: tuple[str, ...] = ()) -> LawWatch:
+    watch = LawWatch(0, estimated)
+    watch.add(0.1, updates)
+    return watch
+
+
+@pytest.mark.parametrize(('sigma', 'part'), [(0.9 * CHANCE_SIGMA, 0.0), (2.0 * CHANCE_SIGMA, 0.75**0.5)])
+def test_what_chance_does_not_explain_of_a_law_counts(sigma: float, part: float) -> None:
+    std = watch_of(stats_of(1e-4, sigma)).suspected_std(some_state())
+    assert SCALE == 1
+    np.testing.assert_allclose(std, [0.0, part * abs(BY_CUBIC) * 1e-4], rtol=0.01)
+
+
+def test_innovations_that_no_law_explains_are_noise() -> None:
+    shown = stats_of(1e-4, 5.0)
+    assert watch_of(shown, stats_of(1e-4, 1e-3, nis=10.0)).explained > 0.0
+    assert watch_of(shown, stats_of(1e-4, 1e-3, nis=500.0)).explained == 0.0
+
+
+def test_images_of_something_else_hardly_count() -> None:
+    right, other = stats_of(1e-4, 2.0), stats_of(-1e-4, 30.0, nis=1e6, dof=10)
+    assert watch_of(other).explained == 0.0
+    assert watch_of(right, other).sums.values[CUBIC] > 0.0
+
+
+def test_what_the_model_estimates_is_no_law_that_it_lacks() -> None:
+    assert watch_of(stats_of(1e-4, 10.0)).explained == pytest.approx(100.0, rel=0.01)
+    assert watch_of(stats_of(1e-4, 10.0), estimated=('scale_cubic',)).explained == 0.0
+
+
+def test_a_law_is_told_once_it_has_been_certain_for_some_time() -> None:
+    uncertain, certain = (watch_of(stats_of(1e-4, sigma)) for sigma in (0.9 * SIGNIFICANT_SIGMA, 10.0))
+    assert not any(uncertain.finding(0.6 * SETTLE_S) for _ in range(3))
+    told = [certain.finding(0.6 * SETTLE_S) for _ in range(2)]
+    assert told[0] == '' and told[1] == f'{RATES} (10 sigma); a diagnosis tells the law'
+    certain.restart()
+    assert certain.finding(2.0 * SETTLE_S) == ''
+
+
+def model_with(*names: str) -> SensorModel:
+    model = default_model()
+    for name in names:
+        model = with_effect(model, find_effect(name))
+    return model
+
+
+@cache
+def driven(name: str, value: float, *added: str) -> tuple[Run, float]:
+    """Return a run with a hidden law and some effects added, and the error of the scale factor in sigma."""
+    hidden = (HiddenEffect(find_effect(name), (value,)),)
+    source = recording('cleaning', 2, 120.0, hidden=hidden)
+    run = calibrate(source, Config(), model_with(*added), follows_changes=True)
+    found = conclude(run)
+    return run, (found.scale_factor - source.truth.scale_factor) / found.scale_factor_std
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'words'),
+    [('scale_cubic', -0.0015, RATES), ('scale_quadratic', 0.001, SIDES), ('scale_asymmetry', 0.001, SIDES)],
+)
+def test_a_law_of_the_rate_is_no_change_of_the_scale_factor(name: str, value: float, words: str) -> None:
+    run, z = driven(name, value)
+    assert not run.history.scale_followed.any() and abs(z) < 2.5
+    assert [fault for fault, _ in map(told_fault, (event.text for event in run.events)) if words in fault]
+    status = calibration_status(conclude(run), run, model_fit(run))
+    assert status.level != 'green'
+    assert not driven(name, value, name)[0].events, 'the model has it'
+
+
+def test_the_noise_is_not_blamed_for_a_law() -> None:
+    run, _ = driven('scale_cubic', -0.0015)
+    assert (run.history.bias_walk == 1.0).all()

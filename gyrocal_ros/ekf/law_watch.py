@@ -59,6 +59,8 @@ class LawWatch:
         """Forget what was seen so far."""
         self.sums = normal_equations(np.diag(self._prior_std**-2.0), np.zeros(self.count))
         self._nis, self._dof = 0.0, 0
+        self._best, self._explained = 0, 0.0
+        """Place of the law that alone explains most, and its significance squared."""
         self._certain_s = 0.0
 
     def add(self, _: float, updates: tuple[UpdateStats, ...]) -> None:
@@ -73,21 +75,29 @@ class LawWatch:
             self.sums = NormalEquations(*equations_added(self.sums, information, score, first))
             self._nis += weight * stats.nis
             self._dof += stats.dof
+        self._judge()
+
+    def _judge(self) -> None:
+        """Find the law that alone explains most, and its significance."""
+        scores, information = self.sums.score.tolist(), self.sums.information.diagonal().tolist()
+        alone = [score**2 / known for score, known in zip(scores, information, strict=True)]
+        explained = max(alone)
+        left = max((self._nis - explained) / max(self._dof, 1), 1.0)
+        self._best, self._explained = alone.index(explained), explained / left
 
     @property
     def explained(self) -> float:
         """Part of the NIS that a certain law explains, relative to what is left; 0 without."""
-        explained = self._best()[1]
-        return explained if explained >= SIGNIFICANT_SIGMA**2 else 0.0
+        return self._explained if self._explained >= SIGNIFICANT_SIGMA**2 else 0.0
 
     def suspected_std(self, state: State) -> Array:
         """Return the standard deviations (1 + k,) of yaw bias and coefficients by the likeliest law."""
-        best, explained = self._best()
-        laws = state.sensitivity[YAW_BIAS : state.robot_size, self._columns]
-        if explained <= CHANCE_SIGMA**2:
-            return np.zeros(len(laws))
+        best, chance = self._best, CHANCE_SIGMA**2
+        if self._explained <= chance:
+            return np.zeros(1 + state.coefficient_count)
+        by_law = state.sensitivity[YAW_BIAS : state.robot_size, self._columns.start + best]
         value = self.sums.score[best] / self.sums.information[best, best]
-        std: Array = np.abs(laws[:, best] * value) * math.sqrt(1.0 - CHANCE_SIGMA**2 / explained)
+        std: Array = np.abs(by_law * value) * math.sqrt(1.0 - chance / self._explained)
         return std
 
     def finding(self, duration_s: float) -> str:
@@ -96,17 +106,7 @@ class LawWatch:
         Args:
             duration_s: time since the last call.
         """
-        best, explained = self._best()
-        is_certain = explained >= SIGNIFICANT_SIGMA**2
-        self._certain_s = self._certain_s + duration_s if is_certain else 0.0
+        self._certain_s = self._certain_s + duration_s if self.explained else 0.0
         if self._certain_s < SETTLE_S:
             return ''
-        return f'{LAWS[best][1]} ({math.sqrt(explained):.0f} sigma); a diagnosis tells the law'
-
-    def _best(self) -> tuple[int, float]:
-        """Return the place of the law that alone explains most, and its significance squared."""
-        scores, information = self.sums.score.tolist(), self.sums.information.diagonal().tolist()
-        alone = [score**2 / known for score, known in zip(scores, information, strict=True)]
-        explained = max(alone)
-        left = max((self._nis - explained) / max(self._dof, 1), 1.0)
-        return alone.index(explained), explained / left
+        return f'{LAWS[self._best][1]} ({math.sqrt(self._explained):.0f} sigma); a diagnosis tells the law'

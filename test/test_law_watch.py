@@ -14,7 +14,16 @@ from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.camera_faults import told_fault
-from gyrocal_ros.ekf.law_watch import CHANCE_SIGMA, LAWS, RATES, SETTLE_S, SIDES, SIGNIFICANT_SIGMA, LawWatch
+from gyrocal_ros.ekf.law_watch import (
+    BLOCK_S,
+    CHANCE_SIGMA,
+    LAWS,
+    RATES,
+    SETTLE_S,
+    SIDES,
+    SIGNIFICANT_SIGMA,
+    LawWatch,
+)
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, State
@@ -78,6 +87,16 @@ def test_a_law_is_told_once_it_has_been_certain_for_some_time() -> None:
     assert told[0] == '' and told[1] == f'{RATES} (10 sigma); a diagnosis tells the law'
     certain.restart()
     assert certain.finding(2.0 * SETTLE_S) == ''
+
+
+@pytest.mark.parametrize('agree', [True, False])
+def test_a_law_upon_which_the_blocks_do_not_agree_is_not_told(agree: bool) -> None:
+    """A bias that walks more than is expected makes scores of either sign."""
+    watch = LawWatch(0)
+    for value in [1e-4] * 6 if agree else (9e-4, -3e-4, 2e-4, -3e-4):
+        watch.add(BLOCK_S, (stats_of(value, 8.0 * abs(value) / 1e-4, dof=10_000),))
+    assert watch.explained > 0.0
+    assert bool(watch.finding(2.0 * SETTLE_S)) == agree
 
 
 def model_with(*names: str) -> SensorModel:

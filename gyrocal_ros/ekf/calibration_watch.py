@@ -238,7 +238,8 @@ class CalibrationWatch:
             std = np.hypot(std, self._heading.suspected_std(self._unknown_std))
         if self._laws is not None:
             law = self._laws.finding(duration_s)
-            if law and self._laws.explained > reference_explains:
+            noise_explains = 0.0 if self._noise is None else self._noise.explained
+            if law and self._laws.explained > max(reference_explains, noise_explains):
                 self.finding = law
             std = np.hypot(std, self._laws.suspected_std(state))
         return std if self._noise is None else np.hypot(std, self._noise.unexpected_std(state))

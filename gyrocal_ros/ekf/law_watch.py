@@ -34,6 +34,9 @@ CHANCE_SIGMA, SIGNIFICANT_SIGMA = 3.0, 4.5
 standard deviation where rates and sides of the turns are alike, while the law is not even certain."""
 MOST_NIS, TINY = 3.0, 1e-9
 """NIS per degree of freedom beyond which an update counts as one of that NIS, and a number above zero."""
+BLOCK_S, AGREED_SIGMA = 5.0, 2.0
+"""Length of the blocks of time whose scores have to agree upon a law, and the significance of their sum by
+their scatter: a bias that walks more than the filter expects makes them large, of either sign."""
 SETTLE_S = 10.0
 """Time for which a law has to be certain before it is reported."""
 
@@ -59,12 +62,14 @@ class LawWatch:
         """Forget what was seen so far."""
         self.sums = normal_equations(np.diag(self._prior_std**-2.0), np.zeros(self.count))
         self._nis, self._dof = 0.0, 0
-        self._best, self._explained = 0, 0.0
-        """Place of the law that alone explains most, and its significance squared."""
+        self._best, self._explained, self._is_agreed = 0, 0.0, False
+        """Place of the law that alone explains most, its significance squared, and whether blocks agree."""
+        self._block_s, self._block_began, self._squares = 0.0, self.sums.score, np.zeros(self.count)
+        """Age of the present block, scores at its beginning, and summed squares of the scores of blocks."""
         self._certain_s = 0.0
 
-    def add(self, _: float, updates: tuple[UpdateStats, ...]) -> None:
-        """Add the updates of one step, of any length. Images of something else hardly count."""
+    def add(self, duration_s: float, updates: tuple[UpdateStats, ...]) -> None:
+        """Add the updates of one step. Images of something else hardly count."""
         for stats in updates:
             if stats.information is None or stats.score is None:
                 continue
@@ -75,6 +80,10 @@ class LawWatch:
             self.sums = NormalEquations(*equations_added(self.sums, information, score, first))
             self._nis += weight * stats.nis
             self._dof += stats.dof
+        self._block_s += duration_s
+        if self._block_s >= BLOCK_S:
+            self._squares = self._squares + (self.sums.score - self._block_began) ** 2
+            self._block_s, self._block_began = 0.0, self.sums.score
         self._judge()
 
     def _judge(self) -> None:
@@ -83,11 +92,13 @@ class LawWatch:
         alone = [score**2 / known for score, known in zip(scores, information, strict=True)]
         explained = max(alone)
         left = max((self._nis - explained) / max(self._dof, 1), 1.0)
-        self._best, self._explained = alone.index(explained), explained / left
+        best = self._best = alone.index(explained)
+        self._explained = explained / left
+        self._is_agreed = scores[best] ** 2 >= AGREED_SIGMA**2 * float(self._squares[best])
 
     @property
     def explained(self) -> float:
-        """Part of the NIS that a certain law explains, relative to what is left; 0 without."""
+        """Part of the NIS that a significant law explains, relative to what is left; 0 without."""
         return self._explained if self._explained >= SIGNIFICANT_SIGMA**2 else 0.0
 
     def suspected_std(self, state: State) -> Array:
@@ -106,7 +117,7 @@ class LawWatch:
         Args:
             duration_s: time since the last call.
         """
-        self._certain_s = self._certain_s + duration_s if self.explained else 0.0
+        self._certain_s = self._certain_s + duration_s if self.explained and self._is_agreed else 0.0
         if self._certain_s < SETTLE_S:
             return ''
         return f'{LAWS[self._best][1]} ({math.sqrt(self._explained):.0f} sigma); a diagnosis tells the law'

@@ -112,9 +112,9 @@ class NoiseBank:
         self._time_s = 0.0
         errors = self._covariances.diagonal(axis1=1, axis2=2) + (self._means - mean) ** 2
         weights = self.weights
-        if self.explained > explained:
+        if self.explained >= explained:
             self.least_walk = self._walk_by(weights, CERTAIN)
-        if self._follows and self.explained > explained:
+        if self._follows and self.explained >= explained:
             self.walk = self._walk_by(weights, 0.5) if self.least_walk > 1.0 else 1.0
         excess = weights @ errors / covariance.diagonal() - 1.0
         self._relative_std[self._places - YAW_BIAS] = np.sqrt(np.maximum(excess, 0.0))

@@ -14,12 +14,13 @@ from gyrocal_ros.config.sections import Config, ConvergenceConfig
 from gyrocal_ros.data import Rig
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.camera_faults import time_fault, told_fault
+from gyrocal_ros.ekf.camera_faults import time_fault
 from gyrocal_ros.ekf.camera_watch import GATE, PRIOR_STD, TIME, CameraWatch
 from gyrocal_ros.ekf.convergence import CONSISTENCY_STEPS, STEPS_AFTER_CHANGE, Convergence
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.start import initial_state
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, State
+from gyrocal_ros.ekf.told_faults import told_fault
 from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.pipeline.calibrate import calibrate

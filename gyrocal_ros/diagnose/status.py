@@ -21,9 +21,9 @@ from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.effects.traits import holds_once
-from gyrocal_ros.ekf.camera_faults import told_fault
 from gyrocal_ros.ekf.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.told_faults import told_fault
 from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration

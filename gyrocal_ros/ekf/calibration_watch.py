@@ -109,7 +109,7 @@ class CalibrationWatch:
         self._told_walk = self._largest_walk = 1.0
         self._follows_changes, self._is_stored = follows_changes, is_stored
         self._has_told, self.finding = False, ''
-        """What is wrong with the camera or the heading reference; empty where nothing is."""
+        """What is wrong with the gyro, the camera or the heading reference; empty where nothing is."""
 
     @property
     def time_offset_s(self) -> float:

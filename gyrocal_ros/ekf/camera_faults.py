@@ -1,4 +1,4 @@
-"""Errors of the camera that the filter tests, and the words that tell what is wrong to the user."""
+"""Errors of the camera that the filter tests, and the words that tell them to the user."""
 
 from __future__ import annotations
 
@@ -14,14 +14,11 @@ from gyrocal_ros.effects.camera_time_offset import CameraTimeOffset
 from gyrocal_ros.effects.principal_point import PrincipalPoint
 from gyrocal_ros.effects.radial_distortion import RadialDistortion
 from gyrocal_ros.effects.rolling_shutter import RollingShutter
-from gyrocal_ros.ekf.law_watch import RATES, SIDES
-from gyrocal_ros.ekf.way_agreement import WRONG_YAW
 from gyrocal_ros.model.sensor import Effect
 
 LENS, TILT, CENTRE = 'the distortion in camera_info', 'the camera looks', 'the principal point in camera_info'
 SHUTTER, TIME = 'the rows of an image are exposed', 'the images and the gyro are'
 """First words of the faults; the remedy follows after a semicolon."""
-FIRST_WORDS = LENS, TILT, CENTRE, SHUTTER, TIME, RATES, SIDES, WRONG_YAW
 ASK_HOW_MUCH = 'a diagnosis tells by how much'
 ASK_WHICH = 'a diagnosis tells which, and by how much'
 
@@ -91,16 +88,3 @@ CAMERA_ERRORS = (
     CameraError(RollingShutter(), shutter_fault),
     CameraError(CameraTimeOffset(), time_fault),
 )
-
-
-def told_fault(event: str) -> tuple[str, str]:
-    """Return the fault and the remedy of a finding in the text of an event, which may report others as well.
-
-    Both are empty where there is none.
-    """
-    starts = [event.find(first_words) for first_words in FIRST_WORDS]
-    found = [start for start in starts if start >= 0]
-    if not found:
-        return '', ''
-    fault, remedy, *_ = event[min(found) :].split('; ')
-    return fault, remedy

@@ -18,7 +18,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, changed
 from gyrocal_ros.ekf.camera_faults import CAMERA_ERRORS, changing_time_fault, time_fault
-from gyrocal_ros.ekf.normal_equations import NormalEquations, equations_added, normal_equations
+from gyrocal_ros.ekf.normal_equations import NOTHING_LEFT, NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.positive_definite import inverse
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
@@ -39,8 +39,6 @@ LENS_AND_TILT = 4
 """Number of the first columns, of errors that all features of an image have in common."""
 TIME = len(PRIOR_STD) - 1
 """Column of the time between images and gyro."""
-NOTHING_LEFT = 1e-5
-"""Part of its standard deviation that is left of an error that the model estimates."""
 SETTLE_S = 10.0
 """Time for which an error has to matter before it is reported."""
 SURE_S = 3.0

@@ -17,7 +17,7 @@ import numpy as np
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.scale import scale_power
 from gyrocal_ros.effects.scale_asymmetry import ScaleAsymmetry
-from gyrocal_ros.ekf.normal_equations import NormalEquations, equations_added, normal_equations
+from gyrocal_ros.ekf.normal_equations import NOTHING_LEFT, NormalEquations, equations_added, normal_equations
 from gyrocal_ros.ekf.state import YAW_BIAS, State
 from gyrocal_ros.ekf.update import UpdateStats
 
@@ -27,8 +27,6 @@ SIDES = 'the scale factor is not the same to both sides'
 LAWS = (scale_power(3), RATES), (scale_power(2), SIDES), (ScaleAsymmetry(), SIDES)
 """Laws of one coefficient each, and what they are called."""
 PRIOR_STD = np.array([law.coefficients[0].prior_std for law, _ in LAWS])
-NOTHING_LEFT = 1e-5
-"""Part of its standard deviation that is left of a law that the model estimates."""
 CHANCE_SIGMA, SIGNIFICANT_SIGMA = 3.0, 4.5
 """Significances from which a law is suspected, and from which it is certain. A shift is many times its
 standard deviation where rates and sides of the turns are alike, while the law is not even certain."""

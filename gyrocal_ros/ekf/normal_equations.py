@@ -50,5 +50,7 @@ def equations_added(
     return information, score, values, float(score @ values)
 
 
+NOTHING_LEFT = 1e-5
+"""Part of its prior standard deviation that is left of an error that the model estimates."""
 NOTHING = NormalEquations(np.empty((0, 0)), np.empty(0), np.empty(0), 0.0)
 """No errors that are tested beside."""

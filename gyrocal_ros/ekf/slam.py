@@ -191,7 +191,7 @@ class EkfSlam:
 
     @property
     def finding(self) -> str:
-        """What is wrong with the camera or the heading reference; empty where nothing is."""
+        """What is wrong with the gyro, the camera or the heading reference; empty where nothing is."""
         return self._way.finding or self._watch.finding
 
     def _gyro_noise(self, block: MotionBlock) -> GyroConfig:

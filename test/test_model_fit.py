@@ -68,7 +68,10 @@ def test_a_calibration_that_no_image_confirms_is_not_green() -> None:
     fit = model_fit(run)
     assert fit.fits is None and fit.is_unseen and not fit.misfits
     status = calibration_status(conclude(run), run, fit)
-    assert status.level == 'yellow' and status.sentence.endswith(f'{UNSEEN}.')
+    assert status.level == 'yellow'
+    assert status.sentence.endswith('but no image or heading is used after 3 of 100 s.')
+    in_part = replace(fit, sight_end='')
+    assert calibration_status(conclude(run), run, in_part).sentence.endswith(f'but {UNSEEN}.')
 
 
 @pytest.mark.slow

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, seconds
-from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s
+from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s, last_seen_s
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, loses_its_map
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.run import Run
@@ -25,6 +25,8 @@ MAX_FOLLOWED = 3
 """Largest number of changes that a run follows, whatever was known of the scale factor before."""
 MAX_DRIFT_RATIO = 4.0
 """Largest blind drift, relative to what noise explains, of a model that fits."""
+MIN_SEEN_PART = 0.5
+"""Part of a recording after which images or headings that end are told as the reason of what it cannot tell."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,6 +45,8 @@ class ModelFit:
     """Sensor that is mounted or wired wrongly, one of the contradictions; empty without."""
     is_unseen: bool = False
     """True if it is long enough, but no image or heading tells where the gyro alone would have led."""
+    sight_end: str = ''
+    """When images or headings end, as a clause; empty where they last for half of the recording."""
 
     @property
     def fits(self) -> bool | None:
@@ -60,7 +64,13 @@ def model_fit(run: Run) -> ModelFit:
     misfits = tuple(filter(None, (mounting, *others)))
     ratio = drift.rms_deg / by_noise_deg if by_noise_deg else math.nan
     is_unseen = drift.unseen > 0 and not len(drift.error_rad)
-    return ModelFit(misfits, is_judged, ratio, drift.rms_deg, mounting, is_unseen)
+    return ModelFit(misfits, is_judged, ratio, drift.rms_deg, mounting, is_unseen, _sight_end(run))
+
+
+def _sight_end(run: Run) -> str:
+    end_s, last_s = float(run.history.time_s[-1]), max(float(last_seen_s(run.history)[-1]), 0.0)
+    is_long = last_s >= MIN_SEEN_PART * end_s
+    return '' if is_long else f'no image or heading is used after {last_s:.0f} of {end_s:.0f} s'
 
 
 def excess_nis(run: Run) -> float:

@@ -118,6 +118,8 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}'
         if fault:
             return Status('yellow', f'{sentence}; {fault}.', remedy)
+        if fit.sight_end:
+            return Status('yellow', f'{sentence}; {fit.sight_end}.', RECORD)
         if fit.drift_deg > LARGE_DRIFT_DEG:
             sentence += f'; {_drifts(fit)}'
         turned_enough = min(turned_deg(run)) > ENOUGH_TURN_DEG
@@ -153,7 +155,7 @@ def _why_unsure(fit: ModelFit, run: Run) -> str:
     if fit.fits is not None:
         return KNOWN_LATE
     followed_s = run.history.time_s[run.history.scale_followed > 0]
-    if fit.is_unseen or not len(followed_s):
+    if fit.is_unseen or fit.sight_end or not len(followed_s):
         return _why_unjudged(fit)
     changed = f'the estimate of the scale factor changed at {followed_s[-1]:.0f} s'
     return f'{changed}, and too little was recorded since then to judge the model'
@@ -161,7 +163,7 @@ def _why_unsure(fit: ModelFit, run: Run) -> str:
 
 def _why_unjudged(fit: ModelFit) -> str:
     """Return why a recording cannot tell whether the model fits, as a clause."""
-    return UNSEEN if fit.is_unseen else UNJUDGED
+    return fit.sight_end or (UNSEEN if fit.is_unseen else UNJUDGED)
 
 
 def _fault(run: Run) -> tuple[str, str]:

@@ -868,6 +868,18 @@ def test_a_resonance_reads_as_its_equation_says() -> None:
     np.testing.assert_allclose(again[200:-2], true[200:-2], atol=0.005)
 
 
+def test_a_lag_that_grows_with_the_rate_reads_as_its_equation_says() -> None:
+    """Its law, added to the reading, gives the true rate, in turns to both sides."""
+    dt_s, scale = np.full(8000, 0.001), 0.95
+    true = 1.5 * np.sin(3.0 * np.cumsum(dt_s)) ** 3
+    lag = STRANGERS['stranger_growing_lag']
+    read = lag.readings(true / scale, dt_s, np.array([0.02]), scale)
+    block = replace(eventful_block(8000), rate_rad_s=np.stack([0.0 * read, 0.0 * read, read], 1), dt_s=dt_s)
+    added = lag.contribute(block, np.array([0.02]), None).rate_rad_s
+    np.testing.assert_allclose(scale * read + added, true, atol=1e-3)
+    assert np.abs(scale * read - true).max() > 0.05
+
+
 @pytest.mark.parametrize('name', STRANGERS)
 def test_the_forms_of_strangers_exist(name: str) -> None:
     """Each is one of something that its right effects are a function of."""

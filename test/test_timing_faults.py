@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -25,6 +26,7 @@ from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
 
 DURATION_S, INFORMATION = 200.0, 1e8
 BLOCKS = round(DURATION_S / BLOCK_S)
+FAST_RAD_S = math.radians(90.0)
 LIKE_AN_OFFSET = 0.99
 """Correlation of lag and offset."""
 
@@ -182,3 +184,23 @@ def test_innovations_that_are_large_everywhere_are_no_fault_of_the_stamps() -> N
     history = examined.run.history
     everywhere = replace(history, nis=np.full(len(history.nis), history.nis.mean()))
     assert timing_fault(replace(examined, run=replace(examined.run, history=everywhere))) is None
+
+
+@pytest.mark.parametrize('sign', [1.0, -1.0])
+@pytest.mark.parametrize('noise_s', [0.0, 0.006])
+def test_an_offset_that_follows_the_rate_is_none_of_the_stamps(sign: float, noise_s: float) -> None:
+    """A gyro whose slew is limited lags by more in fast turns; that tells it, not the time."""
+    level = np.tile([0.3, 1.0, 0.6, 0.8], BLOCKS)[:BLOCKS]
+    left_s = noise_s * np.random.default_rng(5).normal(size=BLOCKS)
+    examined = examined_with(0.02 * sign * level + left_s, 0.0, BOTH)
+    history = examined.run.history
+    in_blocks = level[np.minimum(history.time_s // BLOCK_S, BLOCKS - 1).astype(int)]
+    turning = np.abs(history.turn_rad / history.dt_s) > TURNING_RAD_S
+    turned = replace(history, turn_rad=np.where(turning, in_blocks * FAST_RAD_S, 0.0) * history.dt_s)
+    fault = timing_fault(replace(examined, run=replace(examined.run, history=turned)))
+    assert (fault is None) == (noise_s == 0.0), 'with noise the rate explains two thirds'
+
+
+def test_an_offset_that_jumps_between_turns_of_one_rate_does_not_follow_it() -> None:
+    fault = timing_fault(examined_with(0.02 * np.tile([0.0, 1.0], BLOCKS)[:BLOCKS], 0.0, BOTH))
+    assert fault is not None and fault.kind == 'changes'

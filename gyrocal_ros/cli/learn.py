@@ -30,6 +30,7 @@ from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.rewriting import closed_form
 from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import write_text_atomic
@@ -145,8 +146,9 @@ def requested(args: argparse.Namespace, names: Sequence[str]) -> tuple[str, ...]
 
 
 def _laws_as_text(learned: Learned, laws: list[LearnedLaw]) -> Iterator[str]:
-    if not laws:
-        yield from ('', nothing_learned(is_missing_something(learned.searched.last)))
+    last = learned.searched.last
+    if not laws and timing_fault(last) is None:  # then none was tried, and the status says why
+        yield from ('', nothing_learned(is_missing_something(last)))
     if learned.given_up:
         yield from ('', f'Not needed any more: {", ".join(learned.given_up)}, which the library had added.')
     yield from laws_as_text(laws)

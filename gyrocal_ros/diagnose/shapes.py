@@ -39,6 +39,7 @@ RATE = 'rate (deg/s)'
 HEADING = 'heading in the map (deg)'
 TEMPERATURE_C = 'temperature (deg C)'
 FORCE = 'acceleration (m/s^2)'
+DYNAMICS = 'changes of the rate'
 HEADING_KNOTS_DEG = np.arange(-180.0, 180.0, 60.0)
 
 

@@ -7,7 +7,7 @@ from collections import defaultdict
 import numpy as np
 
 from gyrocal_ros.data import CovariateSample, ImuSample, Source, TemperatureSample, WheelSample
-from gyrocal_ros.effects.learned.signals import CENTRIPETAL, RATE
+from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, RATE
 from gyrocal_ros.model.recording import SPEED_SIGNAL, TEMPERATURE
 
 RANGE = (0.002, 0.998)
@@ -48,6 +48,7 @@ def signal_ranges(source: Source) -> dict[str, tuple[float, float]]:
     smooth = dict(zip((RATE, 'force_x', 'force_y', 'force_z'), means.T, strict=True))
     middle_s = time_s[: blocks * count].reshape(blocks, count).mean(axis=1)
     smooth['yaw_acceleration'] = np.gradient(smooth[RATE], middle_s)
+    smooth[GROWING_LAG] = np.abs(smooth[RATE]) * smooth['yaw_acceleration']
     if wheels:
         wheel_ns, speed_m_s = np.array(wheels).T
         smooth[SPEED_SIGNAL] = np.interp(middle_s, 1e-9 * (wheel_ns - times_ns[0]), speed_m_s)

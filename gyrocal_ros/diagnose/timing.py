@@ -1,8 +1,10 @@
 """Timing faults: the offset between the stamps of camera and IMU changes, or jitters, within a recording.
 
 An error of dt in a stamp moves the heading that an image shows by rate times dt, and by nothing at rest. A
-constant offset is an effect of the library, and a gyro lag looks the same. An offset that changes is neither:
-no physics of the gyro changes it, but a clock that drifts and is set again does.
+constant offset is an effect of the library, and a gyro lag looks the same. An offset that changes with time
+is neither: no physics of the gyro changes it, but a clock that drifts and is set again does. One that follows
+the rate is no matter of clocks: a gyro whose slew is limited, or whose filter adapts, lags by more in fast
+turns.
 """
 
 from __future__ import annotations
@@ -41,6 +43,10 @@ DRIFT_BLOCKS, DRIFT_SCATTER, DRIFTS_PART = 6, 0.1, 0.8
 """Number of blocks, scatter of their offsets about a line over time relative to its range, and part of the
 excess of the NIS that it has to explain, from which two clocks run apart. The line tells that by itself: the
 innovations of turns may be little larger than those of straight lanes, or all be large."""
+RATE_PART = 0.75
+"""Part of what the offsets of the blocks gain over a constant one, from which a line over the rate explains
+them."""
+TINY = np.finfo(float).tiny
 ROUGH_S = 0.001
 """Standard deviation of a line over the offsets of blocks; blocks that are sharper count alike."""
 
@@ -146,15 +152,39 @@ def _changing(
     if may_jitter and 2.0 * max(gain, known) < JITTERS_PART * excess:
         return _jitter(examined, max(gain, known), float(blocks.information.sum()), spread)
     explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
-    if not explains or spread[1] - spread[0] < MIN_CHANGE_S:
+    if not explains or spread[1] - spread[0] < MIN_CHANGE_S or _follow_the_rate(blocks, examined.run):
         return None
     return TimingFault('changes', *spread, float(np.std(sharp)), gain)
+
+
+def _follow_the_rate(blocks: _BlockOffsets, run: Run) -> bool:
+    """Return True if a line over the rate explains most of how the offsets differ from block to block."""
+    if len(blocks.time_s) < DRIFT_BLOCKS:
+        return False
+    rates_rad_s = _turning_rates(blocks.time_s, run)
+    line_s = np.polyval(np.polyfit(rates_rad_s, blocks.values_s, 1, w=1.0 / blocks.stds_s), rates_rad_s)
+    mean_s = np.full_like(line_s, np.average(blocks.values_s, weights=blocks.information))
+    least, gain, most = (blocks.gain(offsets_s) for offsets_s in (mean_s, line_s, blocks.values_s))
+    return gain - least > RATE_PART * (most - least)
+
+
+def _turning_rates(start_s: Array, run: Run) -> Array:
+    """Return the mean magnitude (b,) of the rate in blocks that begin at times (b,), weighted by its square.
+
+    That is the weight of each moment in the offset of a block.
+    """
+    history = run.history
+    rate = np.abs(history.turn_rad / history.dt_s)
+    first, last = (np.searchsorted(history.time_s, start_s + after_s) for after_s in (0.0, BLOCK_S))
+    cubes, squares = (np.append(0.0, np.cumsum(rate**power * history.dt_s)) for power in (3, 2))
+    rates: Array = (cubes[last] - cubes[first]) / np.maximum(squares[last] - squares[first], TINY)
+    return rates
 
 
 def _block_offsets(scores: ScoreStatistics, column: int) -> _BlockOffsets | None:
     """Return the offset of each block by the statistics of the time offset; None for a single block."""
     score, information = scores.score[:, column], scores.information[:, column, column]
-    excited = information > np.finfo(float).tiny
+    excited = information > TINY
     if np.count_nonzero(excited) < 2:
         return None
     return _BlockOffsets(scores.start_s[excited], score[excited], information[excited])

@@ -23,7 +23,7 @@ from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import DYNAMICS, START
 from gyrocal_ros.effects.learned.memory import DRIVES, ExponentialBank
 from gyrocal_ros.effects.learned.place_map import PlaceMap
-from gyrocal_ros.effects.learned.signals import CENTRIPETAL, HEADING, RATE
+from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, HEADING, RATE
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.learned.wave import Wave
 from gyrocal_ros.effects.traits import follows_signal, is_limit, is_noise
@@ -46,10 +46,11 @@ SIGNALS = {
     'force_y': 'sideways acceleration (m/s^2)',
     'force_z': 'vertical acceleration (m/s^2)',
     'yaw_acceleration': 'yaw acceleration (rad/s^2)',
+    GROWING_LAG: 'rate times yaw acceleration (rad^2/s^3)',
     'vibration': 'vibration ((m/s^2)^2)',
     CENTRIPETAL: 'centripetal acceleration (m/s^2)',
     START: shapes.TIME,
-    DYNAMICS: 'changes of the rate',
+    DYNAMICS: shapes.DYNAMICS,
 }
 """Signals that laws follow, in words; others have the name of topic and field."""
 

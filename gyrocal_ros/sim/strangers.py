@@ -13,6 +13,7 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
 from gyrocal_ros.model.recording import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import Coefficient, GyroTerm, Memory, Place, TypicalRange
+from gyrocal_ros.sim.dynamic_strangers import GrowingLag, Resonance
 
 DEG = math.radians(1.0)
 TURNING_RAD_S = 5.0 * DEG
@@ -44,49 +45,6 @@ class Stranger:
         by_values = np.zeros((len(per_unit), len(values)))
         by_values[:, 0] = per_unit
         return GyroTerm(values[0] * per_unit, by_values, memory)
-
-
-@dataclass(frozen=True)
-class Resonance:
-    """The reading follows the rate as a damped oscillator: `z'' = W^2 (w - z) - 2 D W z'`."""
-
-    acts_on: ClassVar[Place] = 'gyro'
-    name: str = 'stranger_resonance'
-    coefficients: tuple[Coefficient, ...] = (
-        Coefficient('period', 's', 0.0, 0.15, typical=TypicalRange(0.1, 0.3, signed=False)),
-        Coefficient(
-            'damping', '1', 0.0, 0.4, typical=TypicalRange(0.25, 0.5, signed=False, is_strength=False)
-        ),
-    )
-    right: tuple[str, ...] = ('bias_memory:dynamics',)
-    source: str = 'IEEE Std 1431-2004, Coriolis vibratory gyros, frequency response'
-    forms: tuple[str, ...] = ('second-order lag',)
-    holds_scale: bool = True
-
-    def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Return what the filter has to add to the reading: its derivatives, by the oscillator's equation."""
-        angular, damping = 2.0 * np.pi / max(values[0], 1e-3), values[1]
-        first, before = memory if memory is not None else (0.0, block.rate_rad_s[0, 2])
-        slope = np.diff(block.rate_rad_s[:, 2], prepend=before) / block.dt_s
-        curvature = np.diff(slope, prepend=first) / block.dt_s
-        added = curvature / angular**2 + 2.0 * damping * slope / angular
-        return GyroTerm(added, np.zeros((len(added), 2)), (slope[-1], block.rate_rad_s[-1, 2]))
-
-    def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
-        """Integrate the oscillator over the readings of a sensor without it, by the implicit midpoint rule.
-
-        An explicit rule would add a lag of the length of a step.
-        """
-        angular, damping = 2.0 * np.pi / values[0], values[1]
-        before = read = float(nominal_rad_s[0])
-        slope, readings = 0.0, []
-        for rate, step_s in zip(nominal_rad_s.tolist(), dt_s.tolist(), strict=True):
-            half = 0.5 * step_s * angular
-            push = half * angular * (0.5 * (rate + before) - read)
-            middle = (slope + push) / (1.0 + half**2 + 2.0 * damping * half)
-            read, slope, before = read + step_s * middle, 2.0 * middle - slope, rate
-            readings.append(read)
-        return np.array(readings)
 
 
 def _size(low: float, high: float, unit: str = 'rad/s') -> Coefficient:
@@ -377,6 +335,7 @@ STRANGERS: dict[str, Known] = {
             ('sine',),
         ),
         Resonance(),
+        GrowingLag(),
     )
 }
 """Laws outside the library, by name."""

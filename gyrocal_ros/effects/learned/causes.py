@@ -11,7 +11,7 @@ from gyrocal_ros.effects.learned.drives import (
     START,
 )
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER
-from gyrocal_ros.effects.learned.signals import CENTRIPETAL, RATE
+from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, RATE
 from gyrocal_ros.model.recording import TEMPERATURE
 
 _LIBRARY = {
@@ -54,6 +54,7 @@ _MEANINGS = {
     'force_y': 'sensitivity to acceleration',
     'force_z': 'sensitivity to acceleration',
     'yaw_acceleration': 'sensitivity to angular acceleration, or a lag',
+    GROWING_LAG: 'a lag that grows with the rate: a limit of the slew, or a filter that adapts',
     'vibration': 'rectified vibration',
     TEMPERATURE: 'temperature dependence',
     'time': 'a heater that is switched, a pump, or the beat of a vibration with the sampling',

@@ -14,6 +14,8 @@ from gyrocal_ros.model.recording import TEMPERATURE
 HEADING = 'heading'
 """The heading in the map: periodic, and valid with that map only."""
 RATE = 'rate'
+GROWING_LAG = 'rate_times_yaw_acceleration'
+"""Magnitude of the rate times yaw acceleration: a lag that grows with the rate errs by it."""
 CENTRIPETAL = 'centripetal_acceleration'
 """That of the robot by wheels and gyro; the accelerometer's also has tilt, vibration and yaw acceleration."""
 
@@ -33,6 +35,7 @@ def _heading(block: MotionBlock) -> Array:
 _VALUES: dict[str, Callable[[MotionBlock], Array]] = {
     RATE: lambda block: block.rate_rad_s[:, 2],
     'yaw_acceleration': lambda block: _mean(block.yaw_acceleration_rad_s2),
+    GROWING_LAG: lambda block: _mean(np.abs(block.rate_rad_s[:, 2]) * block.yaw_acceleration_rad_s2),
     CENTRIPETAL: lambda block: block.distance_m / block.dt_s * block.rate_rad_s[:, 2],
     'force_x': lambda block: _mean(block.specific_force_m_s2[:, 0]),
     'force_y': lambda block: _mean(block.specific_force_m_s2[:, 1]),
@@ -45,6 +48,7 @@ _VALUES: dict[str, Callable[[MotionBlock], Array]] = {
 UNITS = {
     RATE: 'rad/s',
     'yaw_acceleration': 'rad/s^2',
+    GROWING_LAG: 'rad^2/s^3',
     CENTRIPETAL: 'm/s^2',
     'force_x': 'm/s^2',
     'force_y': 'm/s^2',
@@ -60,6 +64,7 @@ UNITS = {
 _SHOWN_AGAINST: dict[str, Stimulus] = {
     RATE: 'rate',
     'yaw_acceleration': 'turn',
+    GROWING_LAG: 'turn',
     CENTRIPETAL: 'turn',
     'force_x': 'force',
     'force_y': 'force',

@@ -284,6 +284,17 @@ def given_others(rng: np.random.Generator, count: int) -> Arguments:
     return rng.normal(size=(count, rows)), whitener(covariance(rng, rows * count))
 
 
+def differences(rng: np.random.Generator, count: int) -> Arguments:
+    residual, whitening = given_others(rng, count)
+    return residual, whitening, rng.normal(size=(*residual.shape, 10))
+
+
+def products_with_last(rng: np.random.Generator, count: int) -> Arguments:
+    last, new = rng.permutation(2 * count)[:count], rng.permutation(2 * count)[:count]
+    errors = np.where(rng.uniform(size=(count, 1)) < 0.2, np.nan, rng.normal(size=(count, 2)))
+    return new, errors, last, rng.normal(size=(count, 2)), 1.5
+
+
 def position_score(rng: np.random.Generator, count: int) -> Arguments:
     residual, whitening = given_others(rng, count)
     return rng.normal(size=(*residual.shape, 6)), residual, whitening, 5
@@ -504,6 +515,7 @@ MAKERS: tuple[Maker, ...] = (
     compare_headings,
     corrected,
     corrected_rates,
+    differences,
     cosines,
     equations_added,
     fading_memory,
@@ -532,6 +544,7 @@ MAKERS: tuple[Maker, ...] = (
     pixels_by_radial_coefficients,
     pixels_by_tilt,
     position_score,
+    products_with_last,
     predict_inverse_depth,
     project_with_jacobian,
     rate_scatter,

@@ -165,11 +165,13 @@ def learned_from(errors: SlowlyWrong) -> float:
     return slam.track_noise.slow_variance_px
 
 
-def test_the_walk_of_tracks_that_err_slowly_is_learned() -> None:
+@pytest.mark.parametrize('has_covariances', [True, False])
+def test_the_walk_of_tracks_that_err_slowly_is_learned(has_covariances: bool) -> None:
     true_px = 3e-5
-    assert true_px / 3.0 < learned_from(SlowlyWrong(true_px)) < 3.0 * true_px
+    learned_px = learned_from(SlowlyWrong(true_px, has_covariances=has_covariances))
+    assert true_px / 3.0 < learned_px < 3.0 * true_px
 
 
-def test_tracks_with_white_noise_and_features_without_covariances_do_not_walk() -> None:
-    assert learned_from(SlowlyWrong(0.0)) == 0.0
-    assert learned_from(SlowlyWrong(3e-5, has_covariances=False)) == 0.0
+@pytest.mark.parametrize('has_covariances', [True, False])
+def test_tracks_with_white_noise_do_not_walk(has_covariances: bool) -> None:
+    assert learned_from(SlowlyWrong(0.0, has_covariances=has_covariances)) == 0.0

@@ -127,8 +127,7 @@ def update_from_image(
     learns = model.form.is_robust and model.config.camera.estimate_pixel_noise
     if learns:
         state = learn_noise(state, matches.rows, judged, DOF_PER_FEATURE)
-    learns_slow_errors = learns and observations.covariances_px2 is not None
-    moved = ~matches.unmoved[good] if learns_slow_errors else None
+    moved = ~matches.unmoved[good] if learns else None
     all_good = np.count_nonzero(good) == len(good)
     used, freed = found.innovation, found.freed
     if not all_good:
@@ -144,6 +143,7 @@ def update_from_image(
         kept = count_matches(state, matches.rows, good, pixels, matches.directions, drop_after)
     if len(kept.landmarks.ids) < len(state.landmarks.ids):
         dropped_ids = np.setdiff1d(state.landmarks.ids, kept.landmarks.ids)
+    is_tracked = learns and observations.covariances_px2 is not None
     is_in_pixels, least = model.form.rows == 2, REJECTED_SHARE if found.rejects_image else NOISE_SHARE
     return kept if model.keeps_anchors else settled(kept), changed(
         told,
@@ -159,7 +159,7 @@ def update_from_image(
             else NONE
         ),
         dropped_ids=dropped_ids,
-        compared=_compared(state, model, matches, innovation) if learns_slow_errors else (NO_FEATURES, NONE),
+        compared=_compared(state, model, matches, innovation) if is_tracked else (NO_FEATURES, NONE),
     )
 
 
@@ -203,7 +203,7 @@ def _updated(
     """Return the state after the update by the features used, and what these tell.
 
     Which of them have moved in the image matters to slow errors of the tracks, see `slow_errors`; None where
-    these are not learned, as of features that come without covariances.
+    these are not learned.
     """
     heading_rad, heading_std_rad = as_heading(used)
     told = MeasurementUpdate(used=len(used.rows), heading_rad=heading_rad, heading_std_rad=heading_std_rad)
@@ -253,7 +253,9 @@ def _differences(model: ImageModel, used: Innovation, whitening: Array, moved: n
     watched = used.sensitivity[:, :, model.scored : model.scored + LENS_AND_TILT]
     common = np.concatenate([used.prediction.by_pose, watched], axis=2)
     found = differences(used.residual, whitening, common)
-    return np.where(moved[:, None], found, np.nan) if len(found) else found
+    if len(found) and not moved.all():
+        found[~moved] = np.nan
+    return found
 
 
 @compiled

@@ -15,6 +15,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.ekf.landmarks import match_ids, with_walk
 from gyrocal_ros.ekf.state import State
+from gyrocal_ros.kernels import compiled
 
 LEAST_PX, MOST_PX = 1e-6, 1e-4
 """Bounds of the variance of the walk, px^2 per px of motion. Near the lower one it is none; the upper one is
@@ -50,18 +51,35 @@ class SlowErrors:
             ids: (m,)
             errors: (m, 2) their `differences`; NaN for those that have not moved since the last image.
         """
-        moved = ~np.isnan(errors[:, 0])
-        ids, errors = ids[moved], errors[moved]
-        lengths = np.sqrt((errors**2).sum(axis=1, keepdims=True))
-        errors = errors * np.minimum(1.0, MAX_INNOVATION / np.maximum(lengths, MAX_INNOVATION))
-        again, before = match_ids(self._ids, ids)
-        products = 0.5 * (errors[again] * self._errors[before]).sum(axis=1)
-        step = GAIN * float((products - TOLERATED).sum())
+        bounded, products, again = products_with_last(ids, errors, self._ids, self._errors, MAX_INNOVATION)
+        step = GAIN * (0.5 * products - TOLERATED * again)
         log_variance_px = min(self._log_variance_px + step, math.log(MOST_PX))
         self._log_variance_px = max(log_variance_px, math.log(LEAST_PX))
-        self._ids, self._errors = ids, errors
+        self._ids, self._errors = ids, bounded
 
 
+@compiled
+def products_with_last(
+    ids: IntArray, errors: Array, last_ids: IntArray, last_errors: Array, longest: float
+) -> tuple[Array, float, int]:
+    """Return errors (m, 2) of bounded length, the sum of their products with the last ones, and how many.
+
+    Args:
+        ids: (m,) features of an image.
+        errors: (m, 2) their errors; NaN for those that tell nothing.
+        last_ids: (l,) features of the last image.
+        last_errors: (l, 2) what was returned for them.
+        longest: bound of the length.
+    """
+    lengths = np.sqrt((errors**2).sum(axis=1, keepdims=True))
+    bounded = errors * np.minimum(1.0, longest / np.maximum(lengths, longest))
+    again, before = match_ids(last_ids, ids)
+    products = (bounded[again] * last_errors[before]).sum(axis=1)
+    tell = ~np.isnan(products)
+    return bounded, float(products[tell].sum()), int(tell.sum())
+
+
+@compiled
 def differences(residual: Array, whitening: Array, common: Array) -> Array:
     """Return the difference (m, r) of each feature of an image from the others, with unit covariance.
 

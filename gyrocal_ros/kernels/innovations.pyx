@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.update`, `ekf.image_update`, `ekf.feature_likelihoods`, `ekf.feature_scores` and `ekf.stamp_noise`,
-which explain the equations."""
+"""Twins of `ekf.update`, `ekf.image_update`, `ekf.feature_likelihoods`, `ekf.feature_scores`, `ekf.slow_errors` and
+`ekf.stamp_noise`, which explain the equations."""
 
 from libc.math cimport M_PI, log, sqrt
 
@@ -14,6 +14,7 @@ cnp.import_array()
 
 TWINS = (
     'corrected',
+    'differences',
     'fit_heading',
     'given_others',
     'innovation_matrices',
@@ -215,6 +216,88 @@ def position_score(by_pose, residual, whitening, Py_ssize_t yaw):
     at(information)[0], at(information)[3] = xx - xt * xt / tt, yy - yt * yt / tt
     at(information)[1] = at(information)[2] = xy - xt * yt / tt
     return score, information
+
+
+cdef void whitened_columns(const double* W, const double* columns, Py_ssize_t n, Py_ssize_t q, double* axes) noexcept nogil:
+    """Write the rows (q, n) of `(W C)^T`, for C (n, q) and W (n, n), which is lower triangular."""
+    cdef Py_ssize_t i, j, l
+    clear(axes, q * n)
+    for i in range(n):
+        for j in range(i + 1):
+            for l in range(q):
+                axes[l * n + i] += W[i * n + j] * columns[j * q + l]
+
+
+cdef inline void take_off(const double* axis, double* row, Py_ssize_t n) noexcept nogil:
+    """Take off what a row has in common with an axis of unit length."""
+    cdef Py_ssize_t i
+    cdef double along = 0.0
+    for i in range(n):
+        along += axis[i] * row[i]
+    for i in range(n):
+        row[i] -= along * axis[i]
+
+
+cdef void make_orthonormal(double* axes, Py_ssize_t n, Py_ssize_t q) noexcept nogil:
+    """Make rows (q, n) orthonormal by Gram and Schmidt, each twice, so that rounding does not grow."""
+    cdef Py_ssize_t i, l, before, again
+    cdef double square
+    for l in range(q):
+        for again in range(2):
+            for before in range(l):
+                take_off(axes + before * n, axes + l * n, n)
+        square = 0.0
+        for i in range(n):
+            square += axes[l * n + i] ** 2
+        square = 1.0 / sqrt(square) if square > 0.0 else 0.0
+        for i in range(n):
+            axes[l * n + i] *= square
+
+
+def differences(residual, whitening, common):
+    cdef Array of_residual = doubles(residual), of_whitening = doubles(whitening), columns = doubles(common)
+    cdef Py_ssize_t m = length(of_residual), r = length(of_residual, 1), q = length(columns, 2), n = m * r
+    cdef Py_ssize_t f, i, j, k, l
+    if n < 2 * q:
+        return matrix(0, r)
+    # The axes of what is common, whitened, and the innovation without these; then the same times L^-T.
+    cdef Array rows = matrix(q + 1, n), back = matrix(q + 1, n), result = matrix(m, r)
+    cdef double* axes = at(rows)
+    cdef double* left = at(back)
+    cdef const double* W = at(of_whitening)
+    cdef double own[3][3]
+    cdef double different[3]
+    cdef double total
+    whitened_columns(W, at(columns), n, q, axes)
+    whitened_columns(W, at(of_residual), n, 1, axes + q * n)
+    make_orthonormal(axes, n, q)
+    for l in range(q):
+        take_off(axes + l * n, axes + q * n, n)
+    clear(left, (q + 1) * n)
+    for l in range(q + 1):
+        for i in range(n):
+            total = axes[l * n + i]
+            for j in range(i + 1):
+                left[l * n + j] += W[i * n + j] * total
+    for f in range(m):
+        for i in range(r):
+            for j in range(i + 1):
+                total = 0.0
+                for k in range(f * r + i, n):
+                    total += W[k * n + f * r + i] * W[k * n + f * r + j]
+                for l in range(q):
+                    total -= left[l * n + f * r + i] * left[l * n + f * r + j]
+                for k in range(j):
+                    total -= own[i][k] * own[j][k]
+                if i == j and not total > 0.0:
+                    return matrix(0, r)
+                own[i][j] = sqrt(total) if i == j else total / own[j][j]
+            different[i] = left[q * n + f * r + i]
+            for k in range(i):
+                different[i] -= own[i][k] * different[k]
+            different[i] /= own[i][i]
+            at(result)[f * r + i] = different[i]
+    return result
 
 
 def stamp_score(by_pose, rate, residual, whitening):

@@ -1,5 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.known_depth`, `ekf.noise_bank`, `ekf.positive_definite` and `ekf.scale_watch`, which explain the equations."""
+"""Twins of `ekf.known_depth`, `ekf.noise_bank`, `ekf.positive_definite`, `ekf.scale_watch` and `ekf.slow_errors`, which
+explain the equations."""
 
 from libc.float cimport DBL_MIN
 from libc.math cimport fabs, sqrt
@@ -13,7 +14,16 @@ from gyrocal_ros.kernels.positive_definite cimport invert, whiten
 
 cnp.import_array()
 
-TWINS = ('equations_added', 'scale_changes', 'scores_added', 'scores_weighted', 'solve', 'variances_grown', 'whitener')
+TWINS = (
+    'equations_added',
+    'products_with_last',
+    'scale_changes',
+    'scores_added',
+    'scores_weighted',
+    'solve',
+    'variances_grown',
+    'whitener',
+)
 
 cdef double NOT_SEPARABLE = 1e-9
 
@@ -141,3 +151,23 @@ def scale_changes(sums, others, Py_ssize_t first, double least, double grown):
             least *= grown * grown
         at(sigmas)[i] = 0.0 if left < least else fabs(at(values)[i]) / sqrt(at(variances)[i])
     return values, variances, sigmas
+
+
+def products_with_last(ids, errors, last_ids, last_errors, double longest):
+    cdef Array which = integers(ids), known = integers(last_ids), now = doubles(errors), last = doubles(last_errors)
+    cdef Py_ssize_t m = length(which), l = length(known), i, j, again = 0
+    cdef Array bounded = matrix(m, 2)
+    cdef double* mine = at(bounded)
+    cdef double size, product, total = 0.0
+    for i in range(m):
+        size = sqrt(at(now)[2 * i] ** 2 + at(now)[2 * i + 1] ** 2)
+        size = longest / size if size > longest else 1.0
+        mine[2 * i], mine[2 * i + 1] = size * at(now)[2 * i], size * at(now)[2 * i + 1]
+        for j in range(l):
+            if at_integers(known)[j] == at_integers(which)[i]:
+                product = mine[2 * i] * at(last)[2 * j] + mine[2 * i + 1] * at(last)[2 * j + 1]
+                if product == product:  # not NaN
+                    total += product
+                    again += 1
+                break
+    return bounded, total, again

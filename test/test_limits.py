@@ -14,7 +14,13 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.examined import with_effect
 from gyrocal_ros.diagnose.limit_sizes import possible_sizes
-from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
+from gyrocal_ros.diagnose.limits import (
+    Competition,
+    LimitProposal,
+    detected_limits,
+    propose_limits,
+    proven_limits,
+)
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -109,6 +115,14 @@ class TestDeadBandInReadings:
     @pytest.mark.parametrize('width_deg_s', [0.15, 0.3])
     def test_the_width_of_a_dead_band(self, width_deg_s: float) -> None:
         assert dead_width(readings(self.slow(width_deg_s), HZ)) == pytest.approx(deg(width_deg_s), rel=0.05)
+
+    def test_it_is_proven_by_the_readings_alone(self) -> None:
+        """A robot whose bias is small hardly drifts more for it, and no run predicts better with it."""
+        (limit,) = proven_limits(default_model(), readings(self.slow(0.3), HZ))
+        assert limit.name == 'rate_deadband'
+        assert limit.coefficients[0].prior_mean == pytest.approx(deg(0.3), rel=0.05)
+        assert proven_limits(with_effect(default_model(), limit), readings(self.slow(0.3), HZ)) == []
+        assert proven_limits(default_model(), readings(self.slow(0.0), HZ)) == []
 
     def test_a_band_about_a_zero_that_is_off(self) -> None:
         found = dead_width(readings(self.slow(0.3) + deg(0.5), HZ))

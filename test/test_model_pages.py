@@ -14,7 +14,7 @@ import pytest
 from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.advice import RECORD
+from gyrocal_ros.diagnose.advice import RECORD, advice
 from gyrocal_ros.diagnose.candidate_fit import Fit
 from gyrocal_ros.diagnose.comparison import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
@@ -43,10 +43,11 @@ from gyrocal_ros.diagnose.search_series import (
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
-from gyrocal_ros.diagnose.status import UNJUDGED, Status, diagnosis_status, missing_sentence
+from gyrocal_ros.diagnose.status import SEE_LIMITS, UNJUDGED, Status, diagnosis_status, missing_sentence
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.wander import MAX_MOMENTS, wander
 from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.model.sensor import with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.report import comparison as comparison_report
@@ -449,6 +450,12 @@ class TestConclusions:
             status = diagnosis_status(case)
             assert (status.level, status.sentence) == (level, sentence)
             assert bool(status.next_step) == bool(places)
+        limit = with_means(find_effect('rate_deadband'), (math.radians(0.3),))
+        limited = replace(case, fails_where=(), proven_limits=(limit,))
+        status = diagnosis_status(limited)
+        assert status.level == 'yellow' and status.next_step == SEE_LIMITS
+        assert status.sentence.startswith('The readings prove rate_deadband (0.3 deg/s), which costs little')
+        assert any('prove rate_deadband (0.3 deg/s)' in sentence for sentence in advice(limited))
         unjudged = replace(case, verdict='cannot_tell', fit=ModelFit((), is_judged=False))
         assert diagnosis_status(unjudged) == Status('yellow', f'{UNJUDGED.capitalize()}.', RECORD)
 

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.separability import drive_for, how_to_tell_apart
 from gyrocal_ros.diagnose.shapes import TIME, UnexplainedStructure
 from gyrocal_ros.effects.traits import NOT_RECORDED
+from gyrocal_ros.model.sensor import Effect
 
 RECORD = (
     'Record five minutes with turns to both sides at several speeds, straight lanes and short rests, '
@@ -37,6 +38,11 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     ]
     if diagnosis.unexplained is not None:
         sentences += _on_structure(diagnosis.unexplained)
+    if diagnosis.proven_limits:
+        sentences.append(
+            f'The readings prove {limits_in_words(diagnosis.proven_limits)}, though this recording is not '
+            'predicted better with it: look at the settings of the gyro.'
+        )
     if diagnosis.coarse_step_rad_s is not None:
         step = f'{math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
         sentences.append(
@@ -64,6 +70,12 @@ def grouped(not_judged: dict[str, str]) -> dict[str, list[str]]:
 def join(names: list[str], word: str = 'and') -> str:
     """Join names as in `a, b and c`."""
     return f' {word} '.join([', '.join(names[:-1]), names[-1]]) if len(names) > 1 else ''.join(names)
+
+
+def limits_in_words(limits: Sequence[Effect]) -> str:
+    """Return limits of the gyro with their sizes."""
+    sizes = [math.degrees(effect.coefficients[0].prior_mean) for effect in limits]
+    return join([f'{effect.name} ({size:.3g} deg/s)' for effect, size in zip(limits, sizes, strict=True)])
 
 
 def _on_structure(structure: UnexplainedStructure) -> Iterator[str]:

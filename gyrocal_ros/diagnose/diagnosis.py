@@ -17,6 +17,7 @@ from gyrocal_ros.diagnose.drift import (
     reference_heading,
 )
 from gyrocal_ros.diagnose.examined import ExaminedModel
+from gyrocal_ros.diagnose.limits import proven_limits
 from gyrocal_ros.diagnose.look_alikes import look_alikes
 from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.ranking import (
@@ -107,6 +108,8 @@ class Diagnosis:
     """Quantisation step of the gyro where it exceeds the noise: what is found may be its steps."""
     limits: tuple[str, ...] = ()
     """Limits that the readings suggest, not yet confirmed by a run."""
+    proven_limits: tuple[Effect, ...] = ()
+    """Limits that the readings prove, though the recording is not predicted better with them."""
     uneven: str = ''
     """Effect that would explain much, but not in all stretches alike: something else is missing."""
     wrong_yaw: str = ''
@@ -211,6 +214,7 @@ def _conclude(
         drift_reference=reference_heading(last.run)[1],
         timing=timing,
         coarse_step_rad_s=coarse_step_rad_s,
+        proven_limits=tuple(proven_limits(last.model, recording.readings)),
         uneven='' if uneven is None else uneven.effect.name,
         wrong_yaw=yaw,
     )

@@ -83,6 +83,10 @@ def summarise_diagnosis(searched: Search, diagnosis: Diagnosis) -> dict[str, Any
         'timing': _timing(diagnosis.timing),
         'unexplained': _structure(diagnosis.unexplained),
         'uneven': diagnosis.uneven or None,
+        'proven_limits': [
+            {'name': effect.name, 'rad_s': effect.coefficients[0].prior_mean}
+            for effect in diagnosis.proven_limits
+        ],
         'model_fits': diagnosis.fit.fits,
         'misfits': list(diagnosis.fit.misfits),
         'advice': advice(diagnosis),

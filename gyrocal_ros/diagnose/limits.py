@@ -69,6 +69,12 @@ def propose_limits(
             yield LimitProposal(with_means(effect, (found.value,)), found.is_certain)
 
 
+def proven_limits(model: SensorModel, readings: GyroReadings) -> list[Effect]:
+    """Return the limits that the readings prove and the model lacks, whether they matter or not."""
+    found = [(effect, effect.detect(readings)) for effect in _missing_limits(model)]  # type: ignore[attr-defined]
+    return [with_means(effect, (limit.value,)) for effect, limit in found if limit and limit.is_certain]
+
+
 def detected_limits(model: SensorModel, readings: GyroReadings) -> list[Effect]:
     """Return the limits, of those that may break the filter and the model lacks, that the readings show."""
     breaking = [effect for effect in _missing_limits(model) if may_break_the_filter(effect)]

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join
+from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join, limits_in_words
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis
 from gyrocal_ros.diagnose.drift import SPAN_S, held_out_from_s
@@ -44,6 +44,7 @@ DOES_NOT_FIT = 'the model does not fit this recording.'
 UNJUDGED = 'the recording is too short to judge the model, or has too many gaps'
 UNSEEN = 'too few images or headings confirm the model'
 KNOWN_LATE = 'the scale factor was known too late to judge the heading without the camera'
+SEE_LIMITS = 'Look at the settings of the gyro: a limit hides its bias, or its rate in fast turns.'
 REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
 DIAGNOSE = 'Run `gyrocal diagnose` on this recording.'
 ADD_NOISE = 'Add it with `gyrocal add` where right standard deviations count more than drift without images.'
@@ -210,7 +211,8 @@ def _with_wrong_yaw(status: Status, fault: str) -> Status:
 def _status_of_effects(diagnosis: Diagnosis, steps: NextSteps) -> Status:
     sentence = _diagnosis_sentence(diagnosis)
     if diagnosis.verdict == 'nothing_missing':
-        return Status('yellow', sentence, REPEAT) if diagnosis.fails_where else Status('green', sentence)
+        next_step = REPEAT if diagnosis.fails_where else (SEE_LIMITS if diagnosis.proven_limits else '')
+        return Status('yellow' if next_step else 'green', sentence, next_step)
     if not diagnosis.is_open and (diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False):
         return Status('red', sentence, steps.learn)
     if diagnosis.verdict == 'noise' and (diagnosis.unusual_noise or diagnosis.harmful_noise):
@@ -267,6 +269,8 @@ def _diagnosis_sentence(diagnosis: Diagnosis) -> str:
     otherwise = CANNOT_TELL if diagnosis.fit.fits is not None else _sentence(_why_unjudged(diagnosis.fit))
     if diagnosis.verdict == 'nothing_missing':
         otherwise = _nothing_missing(len(diagnosis.fails_where))
+        if limits := diagnosis.proven_limits:
+            otherwise = f'The readings prove {limits_in_words(limits)}, which costs little here. {otherwise}'
     elif diagnosis.limits:
         otherwise = f'The readings suggest a limit: {join([*diagnosis.limits], "or")}.'
     elif diagnosis.uneven:

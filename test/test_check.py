@@ -383,6 +383,25 @@ def test_a_calibration_of_the_camera_that_changes(tmp_path: Path) -> None:
     assert issue.severity is Severity.WARNING
 
 
+def test_a_camera_calibrated_at_another_resolution(tmp_path: Path) -> None:
+    def with_half_the_intrinsics(info: Any) -> list[Any]:
+        info.k = 0.5 * info.k
+        return [info]
+
+    def with_half_the_size(info: Any) -> list[Any]:
+        info.width, info.height, info.k = info.width // 2, info.height // 2, 0.5 * info.k
+        return [info]
+
+    (tmp_path / 'centre').mkdir()
+    (tmp_path / 'size').mkdir()
+    off = issues_by_kind(changed_copy(tmp_path / 'centre', topics.CAMERA_INFO, with_half_the_intrinsics))
+    assert off['off_centre'].severity is Severity.WARNING
+    small = changed_copy(tmp_path / 'size', topics.CAMERA_INFO, with_half_the_size)
+    assert any('camera_info is that of' in issue.text for issue in small.issues) and not small.usable
+    whole = changed_copy(tmp_path, topics.CAMERA_INFO, lambda info: [info])
+    assert not {'off_centre'} & {issue.kind for issue in whole.issues}
+
+
 def test_a_frame_of_the_imu_that_no_transform_leads_to(tmp_path: Path) -> None:
     def with_imu_link(message: Any) -> list[Any]:
         link = copy.deepcopy(message.transforms[0])

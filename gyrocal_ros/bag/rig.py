@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from itertools import repeat
+from itertools import islice, repeat
 from typing import TypeVar
 
 import numpy as np
@@ -14,8 +15,9 @@ from gyrocal_ros.bag.selection import Selection
 from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.topic_stats import TurnStats, compare_turns
 from gyrocal_ros.config.sections import CameraConfig
-from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, HeadingSample, Mount, Rig
+from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, HeadingSample, IntArray, Mount, Rig
 from gyrocal_ros.errors import MessageError, RecordingError
+from gyrocal_ros.msgs import clouds
 from gyrocal_ros.msgs.headings import FrameHeading, HeadingName, heading_conversion
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.mounts import (
@@ -41,6 +43,12 @@ TURN_COMPARISON_NS = 300 * NS_PER_S
 """Time at the start over which the turns of gyro and heading reference are compared."""
 MIN_OPPOSITE_CORRELATION = 0.8
 """Minimum size of a negative correlation of their turns for them to count as opposite."""
+
+MAX_OFF_CENTRE = 0.2
+"""Distance of the principal point from the centre, as a part of the image, that is reported."""
+MAX_REACH, REACHED, LISTS = 1.1, 0.9, 50
+"""Pixel below which this part of the features lies, relative to the image of camera_info, and number of
+lists of features that are read for that."""
 
 STAMP_END = 12
 """Length of a serialised message up to the end of its stamp, in ROS 1 and ROS 2."""
@@ -103,7 +111,11 @@ def read_rig(
     if camera_topic:
         mount = _camera_mount(storage, camera_topic, links, mount, issues)
         if Role.CAMERA_INFO in selection.topics:
-            camera = _intrinsics(storage, selection.topics[Role.CAMERA_INFO], issues)
+            info = selection.topics[Role.CAMERA_INFO]
+            camera = _intrinsics(storage, info, issues)
+            issues += _centre_issues(camera, info)
+            if Role.FEATURES in selection.topics:
+                _require_resolution(storage, camera_topic, camera)
     return Rig(camera, mount)
 
 
@@ -192,6 +204,41 @@ def _intrinsics(storage: Storage, topic: Topic, issues: list[BagIssue]) -> Camer
         todo = 'record one camera at one resolution, and calibrate it before'
         issues.append(BagIssue(Severity.WARNING, 'camera_changes', topic.name, text, todo))
     return found[0]
+
+
+def _centre_issues(camera: CameraIntrinsics, topic: Topic) -> Iterator[BagIssue]:
+    """Yield an issue where the principal point is far from the centre of the image."""
+    sizes = _sizes(camera)
+    off_px = np.array([camera.cx_px, camera.cy_px]) - 0.5 * (sizes - 1)
+    if (sizes > 0).all() and (np.abs(off_px) > MAX_OFF_CENTRE * sizes).any():
+        centre, size = f'({camera.cx_px:.0f}, {camera.cy_px:.0f})', f'{sizes[0]}x{sizes[1]}'
+        text = f'its principal point {centre} is far from the centre of an image of {size} pixels'
+        todo = 'if the camera does not read out a part of its sensor, calibrate it at this resolution'
+        yield BagIssue(Severity.WARNING, 'off_centre', topic.name, text, todo)
+
+
+def _sizes(camera: CameraIntrinsics) -> IntArray:
+    return np.array([camera.width_px, camera.height_px])
+
+
+def _require_resolution(storage: Storage, topic: Topic, camera: CameraIntrinsics) -> None:
+    """Raise an error where tracked features lie far beyond the image that the camera was calibrated for.
+
+    Raises:
+        RecordingError: they do.
+    """
+    found: list[Array] = [np.zeros((1, 2))]
+    for _, _, raw in islice(storage.raw_messages([topic]), LISTS):
+        with suppress(MessageError):
+            found.append(clouds.features(storage.message(topic, raw)).pixels)
+    reach_px, sizes = np.quantile(np.concatenate(found), REACHED, axis=0), _sizes(camera)
+    if (sizes > 0).all() and (reach_px > MAX_REACH * sizes).any():
+        raise RecordingError(
+            f'features lie at ({reach_px[0]:.0f}, {reach_px[1]:.0f}) pixels, '
+            f'camera_info is that of {sizes[0]}x{sizes[1]}',
+            where=f'{storage.path}, {topic.name}',
+            todo='record the camera_info of this camera at the resolution of its images',
+        )
 
 
 def _camera_mount(

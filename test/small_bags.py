@@ -48,7 +48,7 @@ def drive(duration_s: float = 10.0, start_ns: int = START_NS) -> list[Measuremen
         samples.append(WheelSample(t_ns, 0.25, yaw_rate(time_s)))
     for t_ns, time_s in _times(duration_s, 10.0, 0.002, start_ns):
         ids = np.arange(6) + int(time_s)
-        pixels = np.column_stack([ids * 8.0 + time_s / 16.0, 40.0 - ids]).astype(np.float32)
+        pixels = np.column_stack([ids % 7 * 8.0 + time_s / 16.0, 40.0 - ids]).astype(np.float32)
         samples.append(FeatureObservations(t_ns, ids, pixels.astype(float)))
     for t_ns, time_s in _times(duration_s, 1.0, 0.003, start_ns):
         samples.append(TemperatureSample(t_ns, 25.0 + time_s))

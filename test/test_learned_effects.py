@@ -239,6 +239,19 @@ def test_a_step_begins_at_its_moment() -> None:
     assert find_effect('scale_step:time').coefficients[0].unit == '1'
 
 
+def test_a_parabola_is_about_the_middle_of_a_range_without_zero() -> None:
+    """Far from zero its terms look alike, and like a constant; the place is no parameter that is estimated."""
+    form = next(item for item in FORMS if item.name == 'parabola')
+    assert form.values(15.0, 17.0).tolist() == [16.0] and form.values(-1.0, 3.0).tolist() == [0.0]
+    assert form.size == 2
+    x = np.linspace(15.0, 17.0, 9)
+    centred, plain = (np.column_stack([np.ones(9), form.columns(x, p)]) for p in (16.0, 0.0))
+    assert np.linalg.cond(centred) < 10.0 < 1e4 < np.linalg.cond(plain)
+    effect = formula('scale_curve:battery_state.voltage', 'parabola', 16.0)
+    assert effect.parameters == () and effect.constants == (16.0,)
+    assert 'P = 16.0' in effect_source(effect, (0.01, 0.02), 'a recording')
+
+
 def test_the_centripetal_acceleration_is_that_of_a_circle() -> None:
     """0.6 m/s on a circle of 0.5 m."""
     block = posed_block()

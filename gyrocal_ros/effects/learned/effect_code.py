@@ -118,7 +118,7 @@ def code_of(effect: Closed) -> Code:
         terms, signal = _split(effect.closed_form.equation), effect.learned.follows
         if effect.closed_form.over not in ('signal', 'heading') and signal != START:
             return _remembered(effect, terms)
-        return _over('time' if signal == START else signal, effect.learned.of, terms, effect.parameters)
+        return _over('time' if signal == START else signal, effect.learned.of, terms, effect.constants)
     orders = ORDERS[:1] if isinstance(effect, Sine) else ORDERS
     terms = [
         f'np.{name}({2.0 * order!r} * np.pi * x / p)' for name in ('sin', 'cos') for order in orders.tolist()
@@ -156,7 +156,7 @@ def _remembered(effect: Formula, terms: Sequence[str]) -> Code:
         helpers = 'driven, lag' if 'lag(' in body else 'driven'
         x_is = f'x is the time after a unit step of {follows}'
     method, imports = REMEMBERED.format(count=len(terms)) + body, MEMORY_IMPORTS.format(helpers=helpers)
-    constants = _constant(method, effect.parameters)
+    constants = _constant(method, effect.constants)
     return Code(imports, 'LinearMemoryEffect', method, x_is, tuple(terms), constants)
 
 

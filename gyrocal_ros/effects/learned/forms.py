@@ -30,6 +30,11 @@ def _nothing(low: float, high: float) -> Array:
     return np.zeros(1)
 
 
+def _middle(low: float, high: float) -> Array:
+    """Return the one place that polynomials are about: far from it their terms are hardly separable."""
+    return np.array([0.0 if low < 0.0 < high else 0.5 * (low + high)])
+
+
 def _inside(low: float, high: float) -> Array:
     return np.linspace(low, high, KINKS)[2:-2]
 
@@ -64,7 +69,12 @@ class Form:
     @property
     def size(self) -> int:
         """Number of its parameters."""
-        return len(self.terms) + (self.values is not _nothing)
+        return len(self.terms) + self.is_scanned
+
+    @property
+    def is_scanned(self) -> bool:
+        """True if p is a parameter of the form; not for one without, or one that is about a given place."""
+        return self.values not in (_nothing, _middle)
 
     def columns(self, x: Array, p: float) -> Array:
         """Return the terms (n, q) at values (n,) of x."""
@@ -80,7 +90,7 @@ FORMS: tuple[Form, ...] = (
     Form('square', 'x**2', (lambda x, p: x**2,)),
     Form('cube', 'x**3', (lambda x, p: x**3,)),
     Form('absolute value', 'np.abs(x)', (lambda x, p: np.abs(x),), is_about_zero=True),
-    Form('parabola', 'x, x**2', (lambda x, p: x, lambda x, p: x**2)),
+    Form('parabola', 'x - p, (x - p)**2', (lambda x, p: x - p, lambda x, p: (x - p) ** 2), _middle),
     Form('hinge', 'np.maximum(x - p, 0.0)', (lambda x, p: np.maximum(x - p, 0.0),), _inside, not_of=(RATE,)),
     # Of the rate, it is zero about rest: elsewhere bias and scale factor would not be those of slow turns.
     Form(

@@ -62,9 +62,14 @@ class Formula(LinearMemoryEffect):
         return _forms(self.learned.over)[self.form]
 
     @property
-    def parameters(self) -> tuple[float, ...]:
-        """The fixed parameter; none for a form without."""
+    def constants(self) -> tuple[float, ...]:
+        """The fixed p; none for a form without."""
         return (self.parameter,) if self.parameter else ()
+
+    @property
+    def parameters(self) -> tuple[float, ...]:
+        """The fixed p where it is a parameter of the form."""
+        return self.constants if self.closed_form.is_scanned else ()
 
     @property
     def scales(self) -> tuple[float, ...]:

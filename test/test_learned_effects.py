@@ -240,7 +240,7 @@ def test_a_step_begins_at_its_moment() -> None:
 
 
 def test_a_parabola_is_about_the_middle_of_a_range_without_zero() -> None:
-    """Far from zero its terms look alike, and like a constant; the place is no parameter that is estimated."""
+    """Far from zero its terms look alike, and like a constant; the place is not estimated."""
     form = next(item for item in FORMS if item.name == 'parabola')
     assert form.values(15.0, 17.0).tolist() == [16.0] and form.values(-1.0, 3.0).tolist() == [0.0]
     assert form.size == 2

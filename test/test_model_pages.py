@@ -11,10 +11,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from gyrocal_ros.cli import improve
 from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.advice import RECORD, advice
+from gyrocal_ros.diagnose.advice import RECORD, advice, twins_in_words
 from gyrocal_ros.diagnose.candidate_fit import Fit
 from gyrocal_ros.diagnose.comparison import Comparison, compare
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
@@ -43,7 +44,14 @@ from gyrocal_ros.diagnose.search_series import (
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
-from gyrocal_ros.diagnose.status import SEE_LIMITS, UNJUDGED, Status, diagnosis_status, missing_sentence
+from gyrocal_ros.diagnose.status import (
+    SEE_LIMITS,
+    UNJUDGED,
+    Level,
+    Status,
+    diagnosis_status,
+    missing_sentence,
+)
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.wander import MAX_MOMENTS, wander
 from gyrocal_ros.effects import default_model, find_effect
@@ -465,6 +473,20 @@ class TestConclusions:
         case = replace(diagnosis, verdict='effect_found', missing=several)
         step = diagnosis_status(case).next_step
         assert step == f'Let `gyrocal improve` add {missing.effect.name} and gyro_lag and show the gain.'
+
+    def test_of_many_effects_that_look_alike_a_few_are_listed(self) -> None:
+        assert twins_in_words(['a', 'b']) == 'a and b' and twins_in_words([]) == ''
+        assert twins_in_words(['a', 'b', 'c', 'd', 'e'], 'or') == 'a, b, c or 2 others'
+
+    @pytest.mark.parametrize(
+        ('level', 'ending'), [('red', 'Not for the robot yet'), ('yellow', 'On the robot')]
+    )
+    def test_a_model_that_does_not_fit_is_not_handed_to_the_robot(
+        self, level: Level, ending: str, improved: Improvement, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(improve, 'improvement_status', lambda improved: Status(level, 'as it is'))
+        assert improved.final is not improved.kept[0]
+        assert [*improve.files_as_text(Path('out'), improved)][-1].startswith(ending)
 
     def test_an_effect_that_does_not_explain_evenly_is_said(self, diagnosis: Diagnosis) -> None:
         case = replace(diagnosis, verdict='cannot_tell', missing=(), fails_where=(), uneven='scale_cubic')

@@ -17,7 +17,7 @@ from gyrocal_ros.cli.bag_runs import add_run_options, bag_arguments, open_bag_ru
 from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
-from gyrocal_ros.diagnose.advice import advice, grouped, join
+from gyrocal_ros.diagnose.advice import advice, grouped, join, twins_in_words
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
@@ -109,7 +109,7 @@ def _missing_effects(diagnosis: Diagnosis) -> Iterator[str]:
                     sigma_in_words(item.sigma),
                     number(item.gain, '+.0f'),
                     _drift_change(item),
-                    ', '.join(item.confused_with) or '-',
+                    twins_in_words(item.confused_with) or '-',
                 )
                 for item in diagnosis.missing
             ],

@@ -152,7 +152,11 @@ def files_as_text(out: Path | None, improved: Improvement) -> Iterator[str]:
         yield ''
         yield f'Model: {out / "model.yaml"}'
         yield f'Report: {out / "report.html"}'
-        if improved.final is not improved.kept[0]:
+        if improved.final is improved.kept[0]:
+            return
+        if improvement_status(improved).level == 'red':
+            yield 'Not for the robot yet: compare the model on a second recording with `gyrocal compare`.'
+        else:
             yield f'On the robot: {launch_command(shlex.quote(str(out.resolve())))}'
 
 

@@ -72,6 +72,14 @@ def join(names: list[str], word: str = 'and') -> str:
     return f' {word} '.join([', '.join(names[:-1]), names[-1]]) if len(names) > 1 else ''.join(names)
 
 
+def twins_in_words(twins: Sequence[str], word: str = 'and') -> str:
+    """Return effects that look like one that was found; of many, the likeliest and how many more."""
+    left = len(twins) - MAX_TWINS
+    return join(
+        [*twins[:MAX_TWINS], f'{left} other{"s" if left > 1 else ""}'] if left > 0 else [*twins], word
+    )
+
+
 def limits_in_words(limits: Sequence[Effect]) -> str:
     """Return limits of the gyro with their sizes."""
     sizes = [math.degrees(effect.coefficients[0].prior_mean) for effect in limits]

@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from gyrocal_ros.diagnose.advice import MAX_TWINS, MEND_STAMPS, RECORD, join, limits_in_words
+from gyrocal_ros.diagnose.advice import MEND_STAMPS, RECORD, join, limits_in_words, twins_in_words
 from gyrocal_ros.diagnose.comparison import Comparison
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis
 from gyrocal_ros.diagnose.drift import SPAN_S, held_out_from_s
@@ -375,6 +375,4 @@ def comparison_status(comparison: Comparison) -> Status:
 
 
 def _with_twins(name: str, twins: Sequence[str]) -> str:
-    left = len(twins) - MAX_TWINS
-    listed = [*twins[:MAX_TWINS], f'{left} other{"s" if left > 1 else ""}'] if left > 0 else [*twins]
-    return f'{name} (not distinguishable here from {join(listed, "or")})' if twins else name
+    return f'{name} (not distinguishable here from {twins_in_words(twins, "or")})' if twins else name

@@ -12,7 +12,7 @@ from synthetic import drive
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s
-from gyrocal_ros.diagnose.model_fit import ModelFit, drift_by_noise_deg, model_fit
+from gyrocal_ros.diagnose.model_fit import ModelFit, count_gaps, drift_by_noise_deg, model_fit
 from gyrocal_ros.diagnose.status import UNSEEN, calibration_status
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run, RunEvent
@@ -56,6 +56,15 @@ def test_a_short_recording_cannot_tell() -> None:
     assert ModelFit((), False).fits is None
     assert ModelFit((), True).fits is True
     assert ModelFit(('too large',), False).fits is False
+
+
+def test_gaps_of_the_gyro_are_counted_once() -> None:
+    """A gap lasts for some steps of the filter."""
+    history = drive(duration_s=100.0).run.history
+    gap_s = np.zeros_like(history.dt_s)
+    gap_s[[0, 100, 101, 102, 300, 301]] = 0.1
+    assert count_gaps(replace(history, gap_s=gap_s)) == 3
+    assert count_gaps(history) == 0
 
 
 @pytest.mark.slow

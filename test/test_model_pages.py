@@ -46,7 +46,7 @@ from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.status import (
     SEE_LIMITS,
-    UNJUDGED,
+    TOO_SHORT,
     Level,
     Status,
     diagnosis_status,
@@ -465,7 +465,9 @@ class TestConclusions:
         assert status.sentence.startswith('The readings prove rate_deadband (0.3 deg/s), which costs little')
         assert any('prove rate_deadband (0.3 deg/s)' in sentence for sentence in advice(limited))
         unjudged = replace(case, verdict='cannot_tell', fit=ModelFit((), is_judged=False))
-        assert diagnosis_status(unjudged) == Status('yellow', f'{UNJUDGED.capitalize()}.', RECORD)
+        assert diagnosis_status(unjudged) == Status('yellow', f'{TOO_SHORT.capitalize()}.', RECORD)
+        interrupted = replace(unjudged, fit=ModelFit((), is_judged=False, gaps=22))
+        assert diagnosis_status(interrupted).sentence.startswith('The gyro has 22 gaps, too many to judge')
 
     def test_the_next_step_names_all_effects_found(self, diagnosis: Diagnosis) -> None:
         missing = diagnosis.missing[0]

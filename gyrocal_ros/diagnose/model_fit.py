@@ -12,7 +12,7 @@ from gyrocal_ros.data import Array, seconds
 from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s, last_seen_s
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, loses_its_map
 from gyrocal_ros.ekf.process_noise import yaw_noise_of
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.run import History, Run
 from gyrocal_ros.ekf.scale_watch import SCALE_CHANGED
 from gyrocal_ros.ekf.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
@@ -47,6 +47,8 @@ class ModelFit:
     """True if it is long enough, but no image or heading tells where the gyro alone would have led."""
     sight_end: str = ''
     """When images or headings end, as a clause; empty where they last for half of the recording."""
+    gaps: int = 0
+    """Number of gaps of the gyro."""
 
     @property
     def fits(self) -> bool | None:
@@ -64,7 +66,22 @@ def model_fit(run: Run) -> ModelFit:
     misfits = tuple(filter(None, (mounting, *others)))
     ratio = drift.rms_deg / by_noise_deg if by_noise_deg else math.nan
     is_unseen = drift.unseen > 0 and not len(drift.error_rad)
-    return ModelFit(misfits, is_judged, ratio, drift.rms_deg, mounting, is_unseen, _sight_end(run))
+    return ModelFit(
+        misfits,
+        is_judged,
+        ratio,
+        drift.rms_deg,
+        mounting,
+        is_unseen,
+        _sight_end(run),
+        count_gaps(run.history),
+    )
+
+
+def count_gaps(history: History) -> int:
+    """Return the number of gaps of the gyro, each of which lasts for one step of the filter or more."""
+    lacks = history.gap_s > 0.0
+    return int(np.count_nonzero(lacks & ~np.append(False, lacks[:-1])))
 
 
 def _sight_end(run: Run) -> str:

@@ -41,7 +41,9 @@ CANNOT_TELL = (
 )
 DOES_NOT_FIT = 'the model does not fit this recording.'
 """The last words on a calibration that its own recording contradicts."""
-UNJUDGED = 'the recording is too short to judge the model, or has too many gaps'
+TOO_SHORT = 'the recording is too short to judge the model'
+MANY_GAPS = 3
+"""Number of gaps of the gyro from which they are told as the reason of what a recording cannot tell."""
 UNSEEN = 'too few images or headings confirm the model'
 KNOWN_LATE = 'the scale factor was known too late to judge the heading without the camera'
 SEE_LIMITS = 'Look at the settings of the gyro: a limit hides its bias, or its rate in fast turns.'
@@ -164,7 +166,9 @@ def _why_unsure(fit: ModelFit, run: Run) -> str:
 
 def _why_unjudged(fit: ModelFit) -> str:
     """Return why a recording cannot tell whether the model fits, as a clause."""
-    return fit.sight_end or (UNSEEN if fit.is_unseen else UNJUDGED)
+    if fit.sight_end or fit.is_unseen:
+        return fit.sight_end or UNSEEN
+    return TOO_SHORT if fit.gaps < MANY_GAPS else f'the gyro has {fit.gaps} gaps, too many to judge the model'
 
 
 def _fault(run: Run) -> tuple[str, str]:

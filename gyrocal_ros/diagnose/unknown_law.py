@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import reduce
+from itertools import combinations
 
 import numpy as np
 
@@ -26,7 +27,7 @@ from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, HEADING, RATE
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.learned.wave import Wave
-from gyrocal_ros.effects.traits import follows_signal, is_limit, is_noise
+from gyrocal_ros.effects.traits import are_twins, follows_signal, is_limit, is_noise
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.turn_agreement import mounting_fault
 from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary
@@ -60,8 +61,8 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
 
     The headings of a run that lacks a law are bent by it, so what they seem to follow may be anything. The
     full filter weighs every law in one run, and one more run confirms the likeliest. Several wrong effects
-    together may imitate a law: where it predicts as well without them, they are given up. So is an effect of
-    a size that no gyro has, where a law alone predicts better.
+    together may imitate a law: where it predicts as well without them, they are given up. So are an effect of
+    a size that no gyro has, and two that look alike, where a law alone predicts better.
 
     Args:
         searched: a finished search in the library.
@@ -71,12 +72,12 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
     last = searched.last
     is_missing = is_missing_something(last) and not (mounting_fault(last.run) or _is_explained(searched))
     is_unusual = not is_missing and _is_unusual(searched)
-    if not (is_missing or is_unusual or _may_imitate(searched)):
+    if not (is_missing or is_unusual or _may_imitate(searched) or _are_twins(searched)):
         return searched
     beside = likeliest_law(last, recording, calibrate) if is_missing else None
     alone = likeliest_law(searched.first, recording, calibrate) if last is not searched.first else None
     best = _without_leftover(searched) if beside is None or not beside.is_kept else beside.after.run
-    least = MIN_GAIN if is_unusual else -MIN_GAIN
+    least = MIN_GAIN if is_unusual or _are_twins(searched) else -MIN_GAIN
     if alone is not None and alone.is_kept and _gain(best, alone.after.run) > least:
         recovered = [item for item in searched.additions if item.before is None]
         return _saying(Search(searched.first, tuple(recovered)), alone)
@@ -139,6 +140,16 @@ def _may_imitate(searched: Search) -> bool:
     laws = [effect for effect in kept if not is_noise(effect)]
     are_suspect = all(map(follows_signal, laws)) or len(laws) < len(kept)
     return len(laws) > 1 and are_suspect and timing_fault(searched.last) is None
+
+
+def _are_twins(searched: Search) -> bool:
+    """Return True if two effects were found of which one, of the gyro, is easily taken for the other.
+
+    Each may stand for a part of one law: a low-pass of second order looks like a lag and a time offset.
+    """
+    kept = [item.effect for item in searched.kept]
+    pairs = [pair for pair in combinations(kept, 2) if 'gyro' in (effect.acts_on for effect in pair)]
+    return any(are_twins(*pair) for pair in pairs) and timing_fault(searched.last) is None
 
 
 def _without_leftover(searched: Search) -> Run:

@@ -36,6 +36,15 @@ def follows_signal(effect: Effect) -> bool:
     return bool(getattr(effect, 'signal', None))
 
 
+def are_twins(one: Effect, other: Effect) -> bool:
+    """Return True if one of two effects is easily taken for the other, by what they say of themselves."""
+    pairs = ((one, other), (other, one))
+    return any(
+        isinstance(effect, LibraryEffect) and twin.name.partition(':')[0] in effect.about.twins
+        for effect, twin in pairs
+    )
+
+
 def holds_once(effect: Effect) -> bool:
     """Return True for a law that holds for one recording only: another one begins at another time."""
     return getattr(effect, 'holds_once', False)

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from gyrocal_ros.diagnose import unknown_law
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.examined import unusual_noises, with_effect
+from gyrocal_ros.diagnose.learning import MIN_GAIN
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -145,6 +147,31 @@ def test_effects_that_follow_signals_or_a_noise_beside_others_may_imitate_a_law(
     assert not may_imitate(voltage) and not may_imitate(voltage, current, 'scale_cubic')
     assert may_imitate('scale_cubic', 'gyro_lag', 'bias_instability')
     assert not may_imitate('scale_cubic', 'bias_instability') and not may_imitate('bias_instability')
+
+
+@pytest.mark.parametrize(
+    ('names', 'gain', 'is_law'),
+    [
+        (('gyro_lag', 'camera_time_offset'), MIN_GAIN + 1.0, True),
+        (('scale_cubic', 'camera_time_offset', 'gyro_lag'), MIN_GAIN + 1.0, True),
+        (('gyro_lag', 'camera_time_offset'), MIN_GAIN - 1.0, False),
+        (('gyro_lag', 'scale_cubic'), MIN_GAIN + 1.0, False),
+        (('camera_tilt', 'principal_point'), MIN_GAIN + 1.0, False),
+    ],
+)
+def test_two_effects_of_the_gyro_that_look_alike_are_given_up_for_one_law(
+    names: tuple[str, ...], gain: float, is_law: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A low-pass of second order was called a lag and a camera whose images are stamped early."""
+    monkeypatch.setattr(unknown_law, 'timing_fault', lambda examined: None)
+    monkeypatch.setattr(unknown_law, 'is_missing_something', lambda examined: False)
+    monkeypatch.setattr(unknown_law, '_is_unusual', lambda searched: False)
+    monkeypatch.setattr(unknown_law, 'likeliest_law', lambda *about: Mock(is_kept=True))
+    monkeypatch.setattr(unknown_law, '_gain', lambda before, after: gain)
+    monkeypatch.setattr(unknown_law, '_saying', lambda searched, law: 'a law alone')
+    additions = [Mock(effect=find_effect(name), before=Mock()) for name in names]
+    searched: Any = Mock(kept=additions, additions=additions)
+    assert (name_unknown(searched, None, None) == 'a law alone') == is_law  # type: ignore[arg-type, comparison-overlap]
 
 
 @pytest.mark.parametrize(

@@ -463,7 +463,9 @@ class TestConclusions:
         status = diagnosis_status(limited)
         assert status.level == 'yellow' and status.next_step == SEE_LIMITS
         assert status.sentence.startswith('The readings prove rate_deadband (0.3 deg/s), which costs little')
-        assert any('prove rate_deadband (0.3 deg/s)' in sentence for sentence in advice(limited))
+        assert not any('prove' in sentence for sentence in advice(limited))
+        beside = replace(limited, verdict='effect_found')
+        assert any('prove rate_deadband (0.3 deg/s)' in sentence for sentence in advice(beside))
         unjudged = replace(case, verdict='cannot_tell', fit=ModelFit((), is_judged=False))
         assert diagnosis_status(unjudged) == Status('yellow', f'{TOO_SHORT.capitalize()}.', RECORD)
         interrupted = replace(unjudged, fit=ModelFit((), is_judged=False, gaps=22))

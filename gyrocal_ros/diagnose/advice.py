@@ -38,7 +38,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     ]
     if diagnosis.unexplained is not None:
         sentences += _on_structure(diagnosis.unexplained)
-    if diagnosis.proven_limits:
+    if diagnosis.proven_limits and diagnosis.verdict != 'nothing_missing':  # there the status says so
         sentences.append(
             f'The readings prove {limits_in_words(diagnosis.proven_limits)}, though this recording is not '
             'predicted better with it: look at the settings of the gyro.'
@@ -75,9 +75,8 @@ def join(names: list[str], word: str = 'and') -> str:
 def twins_in_words(twins: Sequence[str], word: str = 'and') -> str:
     """Return effects that look like one that was found; of many, the likeliest and how many more."""
     left = len(twins) - MAX_TWINS
-    return join(
-        [*twins[:MAX_TWINS], f'{left} other{"s" if left > 1 else ""}'] if left > 0 else [*twins], word
-    )
+    others = [f'{left} other{"s" if left > 1 else ""}'] if left > 0 else []
+    return join([*twins[:MAX_TWINS], *others], word)
 
 
 def limits_in_words(limits: Sequence[Effect]) -> str:

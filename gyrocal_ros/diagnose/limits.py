@@ -6,7 +6,7 @@ limit or are stuck at zero, and the headings show whether the turns were larger 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,7 +20,7 @@ from gyrocal_ros.effects.traits import may_break_the_filter
 from gyrocal_ros.ekf.run import Run
 from gyrocal_ros.ekf.state import YAW_BIAS
 from gyrocal_ros.model.recording import GyroReadings
-from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
+from gyrocal_ros.model.sensor import DetectedLimit, Effect, LimitEffect, SensorModel, with_means
 
 MIN_LOST_S = 10.0
 """Minimum time for which a limit that noise hides loses the readings: less does not show that it does."""
@@ -71,15 +71,22 @@ def propose_limits(
 
 def proven_limits(model: SensorModel, readings: GyroReadings) -> list[Effect]:
     """Return the limits that the readings prove and the model lacks, whether they matter or not."""
-    found = [(effect, effect.detect(readings)) for effect in _missing_limits(model)]  # type: ignore[attr-defined]
-    return [with_means(effect, (limit.value,)) for effect, limit in found if limit and limit.is_certain]
+    found = _detected(_missing_limits(model), readings)
+    return [with_means(effect, (limit.value,)) for effect, limit in found if limit.is_certain]
 
 
 def detected_limits(model: SensorModel, readings: GyroReadings) -> list[Effect]:
     """Return the limits, of those that may break the filter and the model lacks, that the readings show."""
     breaking = [effect for effect in _missing_limits(model) if may_break_the_filter(effect)]
-    found = [(effect, effect.detect(readings)) for effect in breaking]  # type: ignore[attr-defined]
-    return [with_means(effect, (limit.value,)) for effect, limit in found if limit is not None]
+    return [with_means(effect, (limit.value,)) for effect, limit in _detected(breaking, readings)]
+
+
+def _detected(limits: Iterable[Effect], readings: GyroReadings) -> Iterator[tuple[Effect, DetectedLimit]]:
+    """Yield the limits that the readings show, and their sizes."""
+    for effect in limits:
+        found = effect.detect(readings)  # type: ignore[attr-defined]
+        if found is not None:
+            yield effect, found
 
 
 def _missing_limits(model: SensorModel) -> list[Effect]:

@@ -26,7 +26,7 @@ MAX_FOLLOWED = 3
 MAX_DRIFT_RATIO = 4.0
 """Largest blind drift, relative to what noise explains, of a model that fits."""
 MIN_SEEN_PART = 0.5
-"""Part of a recording before which images or headings may end to be why it cannot tell."""
+"""Part of a recording: where images or headings end before it, this is why the recording cannot tell."""
 
 
 @dataclass(frozen=True, slots=True)

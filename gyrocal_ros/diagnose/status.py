@@ -43,7 +43,7 @@ DOES_NOT_FIT = 'the model does not fit this recording.'
 """The last words on a calibration that its own recording contradicts."""
 TOO_SHORT = 'the recording is too short to judge the model'
 MANY_GAPS = 3
-"""Number of gaps of the gyro from which they are told as the reason of what a recording cannot tell."""
+"""Number of gaps of the gyro from which they are why a recording cannot tell."""
 UNSEEN = 'too few images or headings confirm the model'
 KNOWN_LATE = 'the scale factor was known too late to judge the heading without the camera'
 SEE_LIMITS = 'Look at the settings of the gyro: a limit hides its bias, or its rate in fast turns.'

@@ -12,8 +12,8 @@ from synthetic import drive
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
 from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s
-from gyrocal_ros.diagnose.model_fit import ModelFit, count_gaps, drift_by_noise_deg, model_fit
-from gyrocal_ros.diagnose.status import UNSEEN, calibration_status
+from gyrocal_ros.diagnose.model_fit import UNSEEN, ModelFit, count_gaps, drift_by_noise_deg, model_fit
+from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.run import Run, RunEvent
 from gyrocal_ros.ekf.scale_watch import ScaleChange
@@ -75,12 +75,17 @@ def test_a_calibration_that_no_image_confirms_is_not_green() -> None:
     stored = Start(('scale_factor',), np.array([source.truth.scale_factor - 0.96]), np.array([[1e-9]]))
     run = replace(calibrate(source, Config(), default_model(), stored), truth=None)
     fit = model_fit(run)
-    assert fit.fits is None and fit.is_unseen and not fit.misfits
+    assert fit.fits is None and not fit.misfits
     status = calibration_status(conclude(run), run, fit)
     assert status.level == 'yellow'
     assert status.sentence.endswith('but no image or heading is used after 3 of 100 s.')
-    in_part = replace(fit, sight_end='')
-    assert calibration_status(conclude(run), run, in_part).sentence.endswith(f'but {UNSEEN}.')
+    dof = run.history.dof.copy()
+    dof[np.searchsorted(run.history.time_s, 52.0)] = 2
+    once_more = replace(run, history=replace(run.history, dof=dof))
+    fit = model_fit(once_more)
+    assert fit.fits is None and fit.unseen == UNSEEN
+    status = calibration_status(conclude(once_more), once_more, fit)
+    assert status.level == 'yellow' and status.sentence.endswith(f'but {UNSEEN}.')
 
 
 @pytest.mark.slow

@@ -25,6 +25,7 @@ MAX_FOLLOWED = 3
 """Largest number of changes that a run follows, whatever was known of the scale factor before."""
 MAX_DRIFT_RATIO = 4.0
 """Largest blind drift, relative to what noise explains, of a model that fits."""
+UNSEEN = 'too few images or headings confirm the model'
 MIN_SEEN_PART = 0.5
 """Part of a recording: where images or headings end before it, this is why the recording cannot tell."""
 
@@ -43,10 +44,8 @@ class ModelFit:
     """Held-out blind drift, rms."""
     mounting: str = ''
     """Sensor that is mounted or wired wrongly, one of the contradictions; empty without."""
-    is_unseen: bool = False
-    """True if it is long enough, but no image or heading tells where the gyro alone would have led."""
-    sight_end: str = ''
-    """When images or headings end, as a clause; empty where they last for half of the recording."""
+    unseen: str = ''
+    """Why no image or heading tells where the gyro alone would have led, as a clause; empty where they do."""
     gaps: int = 0
     """Number of gaps of the gyro."""
 
@@ -65,17 +64,8 @@ def model_fit(run: Run) -> ModelFit:
     mounting, others = mounting_fault(run), _misfits(run, scatter, drift.rms_deg, by_noise_deg)
     misfits = tuple(filter(None, (mounting, *others)))
     ratio = drift.rms_deg / by_noise_deg if by_noise_deg else math.nan
-    is_unseen = drift.unseen > 0 and not len(drift.error_rad)
-    return ModelFit(
-        misfits,
-        is_judged,
-        ratio,
-        drift.rms_deg,
-        mounting,
-        is_unseen,
-        _sight_end(run),
-        count_gaps(run.history),
-    )
+    unseen, gaps = _why_unseen(run, drift), count_gaps(run.history)
+    return ModelFit(misfits, is_judged, ratio, drift.rms_deg, mounting, unseen, gaps)
 
 
 def count_gaps(history: History) -> int:
@@ -84,10 +74,11 @@ def count_gaps(history: History) -> int:
     return int(np.count_nonzero(lacks & ~np.append(False, lacks[:-1])))
 
 
-def _sight_end(run: Run) -> str:
+def _why_unseen(run: Run, drift: BlindDrift) -> str:
     end_s, last_s = float(run.history.time_s[-1]), max(float(last_seen_s(run.history)[-1]), 0.0)
-    is_long = last_s >= MIN_SEEN_PART * end_s
-    return '' if is_long else f'no image or heading is used after {last_s:.0f} of {end_s:.0f} s'
+    if last_s < MIN_SEEN_PART * end_s:
+        return f'no image or heading is used after {last_s:.0f} of {end_s:.0f} s'
+    return UNSEEN if drift.unseen > 0 and not len(drift.error_rad) else ''
 
 
 def excess_nis(run: Run) -> float:

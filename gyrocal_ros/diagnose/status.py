@@ -44,7 +44,6 @@ DOES_NOT_FIT = 'the model does not fit this recording.'
 TOO_SHORT = 'the recording is too short to judge the model'
 MANY_GAPS = 3
 """Number of gaps of the gyro from which they are why a recording cannot tell."""
-UNSEEN = 'too few images or headings confirm the model'
 KNOWN_LATE = 'the scale factor was known too late to judge the heading without the camera'
 SEE_LIMITS = 'Look at the settings of the gyro: a limit hides its bias, or its rate in fast turns.'
 REPEAT = 'Diagnose a second recording: what is off there, too, is not chance.'
@@ -121,8 +120,8 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         sentence = f'Not calibrated yet: the scale factor is known to {known} only, not to {threshold}'
         if fault:
             return Status('yellow', f'{sentence}; {fault}.', remedy)
-        if fit.sight_end:
-            return Status('yellow', f'{sentence}; {fit.sight_end}.', RECORD)
+        if fit.unseen:
+            return Status('yellow', f'{sentence}; {fit.unseen}.', RECORD)
         if fit.drift_deg > LARGE_DRIFT_DEG:
             sentence += f'; {_drifts(fit)}'
         turned_enough = min(turned_deg(run)) > ENOUGH_TURN_DEG
@@ -158,7 +157,7 @@ def _why_unsure(fit: ModelFit, run: Run) -> str:
     if fit.fits is not None:
         return KNOWN_LATE
     followed_s = run.history.time_s[run.history.scale_followed > 0]
-    if fit.is_unseen or fit.sight_end or not len(followed_s):
+    if fit.unseen or not len(followed_s):
         return _why_unjudged(fit)
     changed = f'the estimate of the scale factor changed at {followed_s[-1]:.0f} s'
     return f'{changed}, and too little was recorded since then to judge the model'
@@ -166,9 +165,10 @@ def _why_unsure(fit: ModelFit, run: Run) -> str:
 
 def _why_unjudged(fit: ModelFit) -> str:
     """Return why a recording cannot tell whether the model fits, as a clause."""
-    if fit.sight_end or fit.is_unseen:
-        return fit.sight_end or UNSEEN
-    return TOO_SHORT if fit.gaps < MANY_GAPS else f'the gyro has {fit.gaps} gaps, too many to judge the model'
+    without = (
+        TOO_SHORT if fit.gaps < MANY_GAPS else f'the gyro has {fit.gaps} gaps, too many to judge the model'
+    )
+    return fit.unseen or without
 
 
 def _fault(run: Run) -> tuple[str, str]:

@@ -71,13 +71,13 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
     """
     last = searched.last
     is_missing = is_missing_something(last) and not (mounting_fault(last.run) or _is_explained(searched))
-    is_unusual = not is_missing and _is_unusual(searched)
-    if not (is_missing or is_unusual or _may_imitate(searched) or _are_twins(searched)):
+    is_doubtful = _are_twins(searched) or (not is_missing and _is_unusual(searched))
+    if not (is_missing or is_doubtful or _may_imitate(searched)):
         return searched
     beside = likeliest_law(last, recording, calibrate) if is_missing else None
     alone = likeliest_law(searched.first, recording, calibrate) if last is not searched.first else None
     best = _without_leftover(searched) if beside is None or not beside.is_kept else beside.after.run
-    least = MIN_GAIN if is_unusual or _are_twins(searched) else -MIN_GAIN
+    least = MIN_GAIN if is_doubtful else -MIN_GAIN
     if alone is not None and alone.is_kept and _gain(best, alone.after.run) > least:
         recovered = [item for item in searched.additions if item.before is None]
         return _saying(Search(searched.first, tuple(recovered)), alone)

@@ -64,7 +64,7 @@ class GrowingLag:
         Coefficient('lag_per_rate', 's^2', 0.0, 0.02, typical=TypicalRange(0.005, 0.02, signed=False)),
     )
     right: tuple[str, ...] = ('bias_curve:rate_times_yaw_acceleration',)
-    source: str = 'data sheets of MEMS gyros with an adaptive low-pass, which widens where the rate is small'
+    source: str = 'a low-pass whose time constant grows with the rate, as near the limit of a slew rate'
     forms: tuple[str, ...] = ('line',)
     holds_scale: bool = True
 

@@ -19,13 +19,15 @@ from gyrocal_ros.diagnose.ranking import (
     estimate_stds,
     indistinguishable,
     rank,
+    with_estimate,
+)
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
+from gyrocal_ros.diagnose.uneven import (
     uneven_explanation,
     uneven_first_effect,
     uneven_gyro_effect,
     uneven_sign,
-    with_estimate,
 )
-from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bias

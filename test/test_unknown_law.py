@@ -150,17 +150,19 @@ def test_effects_that_follow_signals_or_a_noise_beside_others_may_imitate_a_law(
 
 
 @pytest.mark.parametrize(
-    ('names', 'gain', 'is_law'),
+    ('names', 'together_with', 'gain', 'is_law'),
     [
-        (('gyro_lag', 'camera_time_offset'), MIN_GAIN + 1.0, True),
-        (('scale_cubic', 'camera_time_offset', 'gyro_lag'), MIN_GAIN + 1.0, True),
-        (('gyro_lag', 'camera_time_offset'), MIN_GAIN - 1.0, False),
-        (('gyro_lag', 'scale_cubic'), MIN_GAIN + 1.0, False),
-        (('camera_tilt', 'principal_point'), MIN_GAIN + 1.0, False),
+        (('gyro_lag', 'camera_time_offset'), '', MIN_GAIN + 1.0, True),
+        (('scale_cubic', 'camera_time_offset', 'gyro_lag'), '', MIN_GAIN + 1.0, True),
+        (('gyro_lag', 'camera_time_offset'), '', MIN_GAIN - 1.0, False),
+        (('gyro_lag', 'scale_cubic'), '', MIN_GAIN + 1.0, False),
+        (('gyro_lag', 'scale_cubic'), 'scale_cubic', MIN_GAIN + 1.0, True),
+        (('gyro_lag', 'scale_cubic'), 'scale_cubic', MIN_GAIN - 1.0, False),
+        (('camera_tilt', 'principal_point'), '', MIN_GAIN + 1.0, False),
     ],
 )
-def test_two_effects_of_the_gyro_that_look_alike_are_given_up_for_one_law(
-    names: tuple[str, ...], gain: float, is_law: bool, monkeypatch: pytest.MonkeyPatch
+def test_two_effects_that_look_alike_or_explain_only_together_are_given_up_for_one_law(
+    names: tuple[str, ...], together_with: str, gain: float, is_law: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A low-pass of second order was called a lag and a camera whose images are stamped early."""
     monkeypatch.setattr(unknown_law, 'timing_fault', lambda examined: None)
@@ -169,7 +171,7 @@ def test_two_effects_of_the_gyro_that_look_alike_are_given_up_for_one_law(
     monkeypatch.setattr(unknown_law, 'likeliest_law', lambda *about: Mock(is_kept=True))
     monkeypatch.setattr(unknown_law, '_gain', lambda before, after: gain)
     monkeypatch.setattr(unknown_law, '_saying', lambda searched, law: 'a law alone')
-    additions = [Mock(effect=find_effect(name), before=Mock()) for name in names]
+    additions = [Mock(effect=find_effect(name), before=Mock(), together_with=together_with) for name in names]
     searched: Any = Mock(kept=additions, additions=additions)
     assert (name_unknown(searched, None, None) == 'a law alone') == is_law  # type: ignore[arg-type, comparison-overlap]
 

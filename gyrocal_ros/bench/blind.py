@@ -21,7 +21,7 @@ from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.drift import blind_drift
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.examined import remembered, with_effect
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
@@ -169,6 +169,7 @@ def run_blind(
     run, hidden = partial(calibrate, source, config), simulated.hidden
     recorded = summarise_recording(source)
 
+    @remembered
     def calibrated(model: SensorModel, tried: tuple[Effect, ...]) -> Run:
         return run(model, candidates=tried)
 

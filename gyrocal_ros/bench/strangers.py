@@ -14,6 +14,7 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import first_seeds, in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.drift import blind_drift
+from gyrocal_ros.diagnose.examined import remembered
 from gyrocal_ros.diagnose.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.summarise import summarise_recording
@@ -137,6 +138,7 @@ def run_stranger(law: str, seed: int) -> StrangerResult:
     source, config = preload(simulate(hidden=hide(drawn, find_effect)), Config(), present)
     recorded = summarise_recording(source)
 
+    @remembered
     def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
         return calibrate(source, config, model, candidates=candidates)
 

@@ -20,6 +20,7 @@ from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.diagnose.advice import advice, grouped, join, twins_in_words
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.drift import REFERENCES
+from gyrocal_ros.diagnose.examined import remembered
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import LAW_OR_NOISE, MEND_YAW, diagnosis_status
@@ -56,8 +57,8 @@ def run(args: argparse.Namespace) -> None:
     model = read_model(args)
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
-        recorded = summarise_recording(runs.source)
-        searched = name_unknown(find_missing(model, recorded, runs.calibrate), recorded, runs.calibrate)
+        recorded, calibrate = summarise_recording(runs.source), remembered(runs.calibrate)
+        searched = name_unknown(find_missing(model, recorded, calibrate), recorded, calibrate)
         diagnosis = diagnose(searched, recorded)
         if folder is not None:
             # Only a page needs the plotting library.

@@ -22,7 +22,7 @@ from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.drift import REFERENCES
 from gyrocal_ros.diagnose.elimination import without_harm
-from gyrocal_ros.diagnose.examined import Calibrate
+from gyrocal_ros.diagnose.examined import Calibrate, remembered
 from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> None:
     effect = _requested_effect(args.effect, model)
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
-        recorded, calibrate = summarise_recording(runs.source), announced(runs)
+        recorded, calibrate = summarise_recording(runs.source), remembered(announced(runs))
         laws: list[LearnedLaw] = []
         if effect is None:
             searched = find_missing(model, recorded, calibrate)

@@ -21,7 +21,7 @@ from gyrocal_ros.cli.improve import announced, as_text, files_as_text, laws_as_t
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.examined import examine
+from gyrocal_ros.diagnose.examined import examine, remembered
 from gyrocal_ros.diagnose.hypotheses import law_names
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.json_summary import summarise_improvement
@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
         )
     with result_folder(args) as folder:
         runs = open_bag_runs(args, model)
-        recorded, calibrate = summarise_recording(runs.source), announced(runs)
+        recorded, calibrate = summarise_recording(runs.source), remembered(announced(runs))
         only = requested(args, law_names(recorded.ranges))
         if only:
             searched = Search(examine(model, recorded, calibrate), ())

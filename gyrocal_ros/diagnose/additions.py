@@ -10,7 +10,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both
-from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places, contradicts
+from gyrocal_ros.diagnose.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.model_fit import drift_by_noise_deg, model_fit
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.effects.traits import has_impossible_sign, scanned_coefficient
@@ -61,6 +61,8 @@ class Addition:
     """Law with which a run predicts nearly as well as with this noise."""
     is_shown: bool = False
     """True for a noise that the readings themselves show."""
+    together_with: str = ''
+    """Effect beside which alone it explains the recording; the two are judged when both are added."""
     is_rewritten: bool = False
     """True for a closed form in place of the learned curve or memory of the same name."""
 
@@ -90,7 +92,7 @@ class Addition:
         A closed form need only predict as well as the curve. So does noise that the readings themselves show,
         for the filter takes it over. What the filter cannot run without is kept.
         """
-        if self.before is None:
+        if self.before is None or self.together_with:
             return True
         least = self.after.settings.min_predictive_gain
         predicts = self.predictive_gain > (-least if self.is_rewritten or self.is_shown else least)
@@ -281,13 +283,3 @@ def addition(before: ExaminedModel, after: ExaminedModel) -> Addition:
         stds=unknown,
         strengths=found.places,
     )
-
-
-def objection_to_uneven(added: Addition) -> str:
-    """Return what speaks against an effect that shows at few moments; empty if a run confirms it."""
-    distance = added.distance_from_zero(added.after)
-    if min(added.sigma, distance) <= added.after.settings.significant_sigma:
-        return 'it shows at few moments, and the run does not confirm it clearly'
-    if added.is_below(1.0):
-        return 'it shows at few moments, and is smaller than in real sensors'
-    return 'the model does not fit with it either' if contradicts(added.after) else ''

@@ -57,8 +57,8 @@ class CandidateSet:
         return tuple({id(item.carried): item.carried for item in self.candidates}.values())
 
     def project(self, scores: ScoreStatistics) -> ScoreStatistics:
-        """Convert the score statistics of what was carried to those of the candidates."""
-        carried = zip(scores.candidates, columns_of(scores.candidates), strict=True)
+        """Convert the score statistics of what was carried, in its order, to those of the candidates."""
+        carried = zip(self.carried, columns_of(scores.candidates), strict=True)
         places = {id(effect): columns for effect, columns in carried}
         effects = tuple(item.effect for item in self.candidates)
         mixing = np.zeros((scores.score.shape[1], sum(item.weights.shape[1] for item in self.candidates)))

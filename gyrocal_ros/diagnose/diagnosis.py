@@ -25,13 +25,13 @@ from gyrocal_ros.diagnose.ranking import (
     estimate,
     estimate_stds,
     indistinguishable,
-    uneven_sign,
 )
 from gyrocal_ros.diagnose.regimes import Failure, failures
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure, turns_enough
 from gyrocal_ros.diagnose.summarise import coarse_step
 from gyrocal_ros.diagnose.timing import TimingFault, stamp_jitter, timing_fault
+from gyrocal_ros.diagnose.uneven import uneven_sign
 from gyrocal_ros.diagnose.unknown_law import structure_of
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import (

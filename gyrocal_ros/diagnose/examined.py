@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.candidates import candidates_for, with_disturbances
@@ -26,6 +27,8 @@ from gyrocal_ros.model.sensor import Effect, SensorModel
 
 Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
 """Runs the filter with a model and with candidate effects."""
+MOST_REMEMBERED = 16
+"""Number of runs that are remembered."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,6 +61,29 @@ class ExaminedModel:
         inflation = scatter_of(self.run)[0].inflation[1:]
         stds = self.run.history.std[-1, COEFFICIENTS_START:] * inflation
         return self.run.state.coefficients[places], stds[places]
+
+
+def remembered(calibrate: Calibrate) -> Calibrate:
+    """Return a function that does not repeat one of the latest runs.
+
+    A search comes back to the same model: to an effect that a run has rejected, or to the law that is
+    likeliest in place of a noise. The number of a revision makes no difference to a run.
+    """
+    run = lru_cache(MOST_REMEMBERED)(calibrate)
+
+    def run_or_remember(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        key = replace(model, version=0), candidates
+        return replace(run(*key), model=model) if _have_hash(key) else calibrate(model, candidates)
+
+    return run_or_remember
+
+
+def _have_hash(key: object) -> bool:
+    """Return False for an effect of one's own that is no frozen dataclass: it may have changed."""
+    with suppress(TypeError):
+        hash(key)
+        return True
+    return False
 
 
 def examine(

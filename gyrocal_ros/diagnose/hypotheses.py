@@ -125,11 +125,11 @@ def rank_laws(tried: Sequence[Law], scores: ScoreStatistics) -> list[RankedLaw]:
 
     Args:
         tried: laws.
-        scores: score statistics of a run that carried them.
+        scores: score statistics of a run that carried them, see `carried_by`.
     """
     places = {
         id(effect): columns
-        for effect, columns in zip(scores.candidates, columns_of(scores.candidates), strict=True)
+        for effect, columns in zip(carried_by(tried), columns_of(scores.candidates), strict=True)
     }
     information, score = scores.information.sum(axis=0), scores.score.sum(axis=0)
     ranked = []

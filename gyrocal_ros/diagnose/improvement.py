@@ -223,6 +223,9 @@ def _reason(added: Addition) -> str:
         what = 'in closed form' if getattr(added.effect, 'form', '') else 'with the likeliest period'
         return f'{what} the recording is predicted as well (log-likelihood {gain})'
     better = f'the recording is predicted better (log-likelihood +{size})'
+    if added.together_with:
+        gain = f'{added.predictive_gain:+.1f}'
+        return f'it explains the recording only together with {added.together_with} (log-likelihood {gain})'
     if added.is_kept:
         return better
     if not added.stands_out:

@@ -12,8 +12,9 @@ from gyrocal_ros.diagnose.limit_sizes import best_size, possible_sizes
 from gyrocal_ros.diagnose.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.model_fit import excess_nis
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.ranking import RankedEffect, uneven_gyro_effect
+from gyrocal_ros.diagnose.ranking import RankedEffect
 from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.diagnose.uneven import uneven_gyro_effect
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect

@@ -18,6 +18,7 @@ from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
 from gyrocal_ros.diagnose.learning import is_missing_something, likeliest_law
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
+from gyrocal_ros.diagnose.pairs import explained_by_pair
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search_from
@@ -142,6 +143,8 @@ def _effects_or_noise(
     found = best_alternative(found, recording, calibrate, most)
     if timing_fault(found.last) is not None:
         return eliminate(found, recording, calibrate)
+    if is_missing_something(found.last):
+        found = explained_by_pair(found, recording, calibrate)
     instead = or_noise(found, recording, calibrate, most)
     if not found.kept:
         return eliminate(instead, recording, calibrate)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 
@@ -152,73 +153,6 @@ def _much_likelier(
     return max(much, key=lambda item: item.merit, default=best)
 
 
-def uneven_explanation(
-    ranked: Sequence[RankedEffect], tried: Collection[str], settings: DiagnosisSettings
-) -> RankedEffect | None:
-    """Return the effect that gains most by the filter's own S, though its scatter says that it may be chance.
-
-    None where no effect gains that much. Effects with a scan are left out: whatever their time constant, one
-    of many explains chance well. Those of the camera have to be strong: slow errors of images look like them.
-    The arguments are those of `uneven_gyro_effect`.
-    """
-    untried = [item for item in ranked if item.effect.name not in tried and item.profile is None]
-    uneven = [item for item in untried if not item.is_significant and item.merit > settings.significant_gain]
-    uneven = [item for item in uneven if item.effect.acts_on != 'camera' or _is_strong(item, settings)]
-    return max(uneven, key=lambda item: item.merit, default=None)
-
-
-def _is_strong(item: RankedEffect, settings: DiagnosisSettings) -> bool:
-    return item.merit > settings.uneven_view_gain and item.fit.sigma > settings.uneven_sigma
-
-
-def uneven_gyro_effect(
-    ranked: Sequence[RankedEffect], tried: Collection[str], settings: DiagnosisSettings
-) -> RankedEffect | None:
-    """Return the effect of the gyro that explains much, though unevenly: a sign that something is missing.
-
-    It has to be of a usual size, and larger than its scatter by half of what makes it significant. Effects of
-    the camera are no sign: the slow errors of images look like them.
-
-    Args:
-        ranked: ranked effects.
-        tried: names of effects to leave out.
-        settings: thresholds.
-    """
-    least = 0.5 * settings.significant_sigma
-    likely = [item for item in ranked if item.effect.acts_on == 'gyro' and item.fit.sigma > least]
-    usual = [item for item in likely if is_usual(item.effect, estimate(item))]
-    return uneven_explanation(usual, tried, settings)
-
-
-def uneven_sign(
-    ranked: Sequence[RankedEffect], refuted: Collection[str], settings: DiagnosisSettings
-) -> RankedEffect | None:
-    """Return the effect of the gyro that explains much, though unevenly, unless others explain far more.
-
-    Where those of camera and floor do, it is they that are at fault for a while: wheels spin, tracks slide.
-    """
-    found = uneven_gyro_effect(ranked, refuted, settings)
-    others = (item.merit for item in ranked if item.effect.acts_on != 'gyro')
-    return None if found and max(others, default=0.0) > MUCH_MORE * found.merit else found
-
-
-def uneven_first_effect(
-    ranked: Sequence[RankedEffect], tried: Collection[str], settings: DiagnosisSettings
-) -> RankedEffect | None:
-    """Return the effect that explains so much, though unevenly, that a run has to decide beside no other one.
-
-    It acts on the gyro, or gains more than the slow errors of images do.
-
-    Args:
-        ranked: ranked effects.
-        tried: names of effects to leave out.
-        settings: thresholds.
-    """
-    strong = [item for item in ranked if _is_strong(item, settings)]
-    of_gyro = uneven_gyro_effect(ranked, tried, settings)
-    return uneven_explanation(strong, tried, settings) if of_gyro is None else of_gyro
-
-
 def explained_together(
     ranked: Sequence[RankedEffect], scores: ScoreStatistics, settings: DiagnosisSettings
 ) -> float:
@@ -247,16 +181,42 @@ def explained_together(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Pair:
+class Pair:
     """Two effects that explain a recording together."""
 
     stronger: RankedEffect
+    weaker: RankedEffect
+    beside: tuple[Fit, Fit]
+    """Fit of the stronger one beside the weaker, and of the weaker beside the stronger."""
     merit: float
+
+
+def best_pair(
+    ranked: Sequence[RankedEffect], scores: ScoreStatistics, settings: DiagnosisSettings
+) -> Pair | None:
+    """Return the two effects that explain most together, whether or not one of them explains anything alone.
+
+    Where both are missing, the estimates of each alone scatter; those of the right two do not. One of them is
+    no recorded signal: two of these explain whatever changes slowly. Effects with a scan are left out.
+
+    Args:
+        ranked: ranked effects.
+        scores: the score statistics that they were ranked by.
+        settings: thresholds.
+    """
+    best = None
+    for first, second in combinations([item for item in ranked if item.profile is None], 2):
+        if follows_signal(first.effect) and follows_signal(second.effect):
+            continue
+        both = _pair(first, second, scores, settings)
+        if both is not None and (best is None or both.merit > best.merit):
+            best = both
+    return best
 
 
 def _pair(
     first: RankedEffect, second: RankedEffect, scores: ScoreStatistics, settings: DiagnosisSettings
-) -> _Pair | None:
+) -> Pair | None:
     """Fit both together; return None where one of them is not significant beside the other."""
     a, b = first.fit.columns, second.fit.columns
     joint, more, less = fit(scores, np.concatenate([a, b])), fit(scores, a, b), fit(scores, b, a)
@@ -264,8 +224,10 @@ def _pair(
         return None
     if min(more.sigma, less.sigma) < settings.significant_sigma:
         return None
-    price = first.fit.gain - first.merit + second.fit.gain - second.merit
-    return _Pair(first if more.gain >= less.gain else second, joint.gain - price)
+    merit = joint.gain - (first.fit.gain - first.merit + second.fit.gain - second.merit)
+    if more.gain >= less.gain:
+        return Pair(first, second, (more, less), merit)
+    return Pair(second, first, (less, more), merit)
 
 
 def indistinguishable(

@@ -10,7 +10,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import IMPOSSIBLE_SIGN, NONE, Addition, Search, objection_to_uneven
+from gyrocal_ros.diagnose.additions import (
+    IMPOSSIBLE_SIGN,
+    NONE,
+    Addition,
+    Search,
+)
 from gyrocal_ros.diagnose.examined import (
     Calibrate,
     ExaminedModel,
@@ -34,19 +39,18 @@ from gyrocal_ros.diagnose.ranking import (
     best_explanation,
     explained_together,
     indistinguishable,
-    uneven_explanation,
-    uneven_first_effect,
 )
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.diagnose.shapes import unexplained_structure
 from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.diagnose.traces import best_beside, traces
+from gyrocal_ros.diagnose.uneven import uneven_addition, uneven_explanation
 from gyrocal_ros.effects.traits import is_estimated
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
-from gyrocal_ros.statistics import chi_square_tail, sigma_of, vuong_sigma
+from gyrocal_ros.statistics import vuong_sigma
 
 MAX_ADDITIONS = 6
 """Number of effects that a search tries to add."""
@@ -155,7 +159,7 @@ def continued(
         following = _next_addition(present, recording, calibrate, excluded, least_gain, traces(found))
         is_first = not any(item.is_kept for item in found)
         if following is None and (is_exact or is_first):
-            following = _uneven_addition(present, recording, calibrate, excluded, is_first=is_first)
+            following = uneven_addition(present, recording, calibrate, excluded, is_first=is_first)
         if following is not None:
             if following.is_kept and following.is_impossible:
                 following = _contested(following, recording, calibrate, set())
@@ -176,34 +180,6 @@ def _hints_at_more(present: ExaminedModel, excluded: set[str]) -> bool:
     ranked, settings = present.ranked, present.settings
     best = best_explanation(ranked, present.scores, excluded, settings)
     return best is not None or uneven_explanation(ranked, excluded, settings) is not None
-
-
-def _uneven_addition(
-    present: ExaminedModel,
-    recording: RecordingSummary,
-    calibrate: Calibrate,
-    excluded: set[str],
-    *,
-    is_first: bool,
-) -> Addition | None:
-    """Add the effect that gains most though its estimates scatter, if a run predicts clearly better with it.
-
-    Few moments may show an effect. Then the scatter of the blocks says little, and a run decides, where
-    nothing else contradicts the model. It has to be of a usual size: slow errors of images look like small
-    errors of the camera. Where it would be the first one, it acts on the gyro, or gains much more than those.
-    """
-    settings, ranked = present.settings, present.ranked
-    explanation = uneven_first_effect if is_first else uneven_explanation
-    uneven = explanation(ranked, excluded, settings)
-    if uneven is None:
-        return None
-    with suppress(*CANNOT_RUN):
-        added = with_one_more(present, uneven.effect, recording, calibrate)
-        gain = added.predictive_gain
-        p_value = chi_square_tail(max(2.0 * gain / settings.min_inflation, 0.0), len(added.strengths))
-        added = replace(added, gain=gain, sigma=sigma_of(p_value), p_value=p_value)
-        return replace(added, objection=objection_to_uneven(added))
-    return None
 
 
 def _with_limits_resized(

@@ -72,6 +72,7 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
     last = searched.last
     is_missing = is_missing_something(last) and not (mounting_fault(last.run) or _is_explained(searched))
     is_doubtful = _are_twins(searched) or (not is_missing and _is_unusual(searched))
+    is_doubtful = is_doubtful or any(item.together_with for item in searched.kept)
     if not (is_missing or is_doubtful or _may_imitate(searched)):
         return searched
     beside = likeliest_law(last, recording, calibrate) if is_missing else None

@@ -1,0 +1,119 @@
+"""Two effects that explain a recording only together, and runs that are not repeated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from synthetic import score_statistics_of
+from test_learning import recording, runner
+from test_ranking import ONES, independent
+
+from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.examined import MOST_REMEMBERED, examine, remembered
+from gyrocal_ros.diagnose.improvement import improvement
+from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.pairs import explained_by_pair
+from gyrocal_ros.diagnose.ranking import best_pair, rank
+from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
+from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.effects.covariate import covariate_bias
+from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.model.sensor import Effect, SensorModel
+from gyrocal_ros.sim.hidden import DrawnEffect
+
+OPPOSITE = DrawnEffect('scale_asymmetry', (0.01,)), DrawnEffect('scale_quadratic', (-0.01,))
+"""Errors of the scale factor that nearly cancel at usual rates."""
+
+
+class TestBestPair:
+    def test_two_effects_that_hide_each_other_are_found(self) -> None:
+        """Alone, either explains next to nothing, for the columns are alike and the effects opposite."""
+        (columns, noise), (others, _) = independent(3), independent(1, seed=1)
+        columns[:, :, 1] = columns[:, :, 0] + 0.2 * others[:, :, 0]
+        scores = score_statistics_of(columns, columns @ [2.0, -2.0, 0.0] + 0.1 * noise, ONES[:3])
+        ranked = rank(scores, SETTINGS)
+        pair = best_pair(ranked, scores, SETTINGS)
+        assert pair is not None
+        assert {pair.stronger.effect.name, pair.weaker.effect.name} == {'scale_asymmetry', 'scale_quadratic'}
+        more, less = pair.beside
+        assert min(more.sigma, less.sigma) > SETTINGS.significant_sigma and more.gain >= less.gain
+        assert sorted(float(item.values[0]) for item in pair.beside) == pytest.approx([-2.0, 2.0], abs=0.1)
+        assert max(item.merit for item in ranked) < 0.2 * pair.merit
+
+    def test_one_effect_alone_is_no_pair(self) -> None:
+        columns, noise = independent(3)
+        scores = score_statistics_of(columns, columns @ [2.0, 0.0, 0.0] + noise, ONES[:3])
+        assert best_pair(rank(scores, SETTINGS), scores, SETTINGS) is None
+
+    def test_two_recorded_signals_are_no_pair(self) -> None:
+        columns, noise = independent(2)
+        signals = covariate_bias('first', 0.0, 1.0), covariate_bias('second', 0.0, 1.0)
+        for effects, is_pair in ((signals, False), ((ONES[0], signals[1]), True)):
+            scores = score_statistics_of(columns, columns @ [2.0, -2.0] + noise, effects)
+            assert (best_pair(rank(scores, SETTINGS), scores, SETTINGS) is not None) == is_pair
+
+
+class TestExplainedByPair:
+    @pytest.mark.slow
+    def test_effects_that_nearly_cancel_are_found_with_their_values(self) -> None:
+        source = recording(*OPPOSITE, seconds=100.0, seed=2)
+        recorded, calibrate = summarise_recording(source), remembered(runner(source))
+        assert not search(default_model(), recorded, calibrate).kept, 'none explains anything alone'
+        found = find_missing(default_model(), recorded, calibrate)
+        assert {item.effect.name for item in found.kept} == {effect.name for effect in OPPOSITE}
+        for name, (truth,) in ((effect.name, effect.values) for effect in OPPOSITE):
+            values, stds = found.last.estimate_of(name)
+            assert values[0] == pytest.approx(truth, abs=3.0 * stds[0]) and stds[0] < 0.05 * abs(truth)
+        first, second = found.kept
+        assert (first.together_with, second.together_with) == (second.effect.name, first.effect.name)
+        assert f'only together with {second.effect.name}' in improvement(found).revisions[-2].why
+
+    @pytest.mark.slow
+    def test_a_recording_that_hides_nothing_has_no_pair(self) -> None:
+        source = recording(seconds=60.0)
+        recorded, calibrate = summarise_recording(source), runner(source)
+        plain = Search(examine(default_model(), recorded, calibrate), ())
+        assert explained_by_pair(plain, recorded, calibrate) is plain
+
+
+@dataclass
+class Changeable:
+    """An effect of one's own that is no frozen dataclass."""
+
+    name: str = 'changeable'
+
+
+class TestRemembered:
+    def test_the_latest_runs_are_not_repeated(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        ran: list[str] = []
+
+        @dataclass(frozen=True)
+        class Result:
+            model: SensorModel
+
+        def calibrate(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+            ran.append(model.effects[-1].name)
+            return Result(model)  # type: ignore[return-value]
+
+        run, model = remembered(calibrate), default_model()
+        effect = find_effect('scale_cubic')
+        with_effect = replace(model, effects=(*model.effects, effect), version=2)
+        assert run(model, ()).model is model
+        assert run(with_effect, ()).model is with_effect
+        later = replace(with_effect, version=7)
+        assert run(later, ()).model is later and ran == ['scale_factor', 'scale_cubic']
+        run(later, (find_effect('gyro_lag'),))
+        assert len(ran) == 3, 'with other candidates it is another run'
+        for value in np.linspace(0.0, 0.01, MOST_REMEMBERED).tolist():
+            prior = replace(effect.coefficients[0], prior_mean=value, prior_std=1.0)
+            run(replace(model, effects=(replace(effect, coefficients=(prior,)),)), ())  # type: ignore[type-var]
+        run(model, ())
+        assert len(ran) == 4 + MOST_REMEMBERED, 'only the latest ones are kept'
+        changeable = replace(model, effects=(Changeable(),))  # type: ignore[arg-type]
+        run(changeable, ())
+        run(changeable, ())
+        assert ran[-2:] == ['changeable', 'changeable']

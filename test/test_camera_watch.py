@@ -227,8 +227,9 @@ def test_after_a_change_consistency_needs_enough_steps() -> None:
         watch = Convergence(after_change)
         for i in range(STEPS_AFTER_CHANGE):
             assert watch.is_consistent(config) == (not after_change and i > 0)
+            assert ('since the scale factor changed' in watch.doubt(config)) == after_change
             watch.add(0.1 * i, 1e-4, 4.0, 2, config)
-        assert watch.is_consistent(config)
+        assert watch.is_consistent(config) and not watch.doubt(config)
         assert watch.inflation == pytest.approx(math.sqrt(2.0))
 
 
@@ -249,5 +250,6 @@ def test_innovations_that_stay_small_are_no_reason_for_distrust() -> None:
     for i in range(CONSISTENCY_STEPS):
         assert not watch.is_consistent(config) and watch.is_too_calm(config) == (i > 0)
         watch.add(0.1 * i, 1e-4, 0.3, 1, config)
+        assert ('not yet learned' in watch.doubt(config)) == watch.is_too_calm(config)
     assert watch.is_consistent(config) and not watch.is_too_calm(config)
     assert watch.inflation == 1.0

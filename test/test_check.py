@@ -266,6 +266,18 @@ def test_lost_samples_are_no_irregular_stamps(tmp_path: Path) -> None:
     )
 
 
+def test_stamps_in_bursts_are_no_lost_samples(tmp_path: Path) -> None:
+    """Four samples of a message of the bus got the time of its arrival, with the steps of a clock."""
+
+    def in_fours(sample: Any, t: float) -> tuple[float, float]:
+        number = round(100 * t)
+        return (0.01 * (number - number % 4) + 2e-4 * (number % 4) if is_imu(sample) else t), t
+
+    issues = issues_by_kind(check_restamped(tmp_path, in_fours))
+    assert list(issues) == ['irregular_stamps']
+    assert 'in bursts: 0.2 ms apart, 10 ms on average' in issues['irregular_stamps'].text
+
+
 def check_restamped(path: Path, change: Callable[[Any, float], tuple[float, float]]) -> CheckReport:
     """Check the drive with its stamps and times of recording (s since the start) changed."""
     with new_bag(path / 'bag') as bag:

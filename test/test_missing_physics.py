@@ -23,12 +23,12 @@ from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
 from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.advice import advice
+from gyrocal_ros.diagnose.advice import CAUTION, advice
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.search import search
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.shapes import RATE, UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.status import diagnosis_status
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.timing import TimingFault
@@ -236,6 +236,9 @@ class TestDiagnose:
         assert 'Missing' not in diagnosis_status(strange).sentence
         assert 'No effect of the library explains this: the bias jumped' in diagnosis_status(strange).sentence
         assert any('at 40 s' in text for text in advice(strange))
+        for signal, changes_slowly in (('battery_state.voltage', True), (RATE, False)):
+            follows = replace(jump, shape=replace(shape, signal=signal), at_s=None)
+            assert (CAUTION in advice(replace(strange, unexplained=follows))) == changes_slowly
         both = replace(strange, missing=diagnosis.missing)
         assert diagnosis_status(both).sentence.startswith(
             'Missing: scale_asymmetry. No effect of the library'

@@ -19,6 +19,7 @@ from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.parameter_file import load_config
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
+from gyrocal_ros.diagnose.advice import RECORD
 from gyrocal_ros.diagnose.comparison import compare
 from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning, heading_error, held_out_from_s
 from gyrocal_ros.diagnose.json_summary import summarise
@@ -423,6 +424,24 @@ class TestStatus:
         late = replace(calibration, convergence_time_s=run.span.duration_s)
         status = calibration_status(late, run, ModelFit((), True, 1.0, 1.1))
         assert status.sentence.endswith(f'but {KNOWN_LATE}.')
+
+    def test_what_a_longer_recording_would_settle_is_no_reason_for_distrust(
+        self, run: Run, calibration: Calibration
+    ) -> None:
+        """Another gyro in place of the stored one: the noise was learned while it was not known."""
+        failed = replace(calibration, converged=False)
+        assert calibration_status(failed, run, FITS).level == 'red'
+        early = replace(failed, doubt='it is early')
+        status = calibration_status(early, run, FITS)
+        assert (status.level, status.next_step) == ('yellow', RECORD)
+        assert status.sentence == 'Not calibrated yet: it is early.'
+        event = RunEvent(run.span.start_ns, f'{TILT} 1.5 deg beside its transform; diagnose it')
+        status = calibration_status(early, replace(run, events=(event,)), FITS)
+        assert (
+            status.sentence
+            == 'Not calibrated yet: it is early; the camera looks 1.5 deg beside its transform.'
+        )
+        assert status.next_step != RECORD
 
     @pytest.mark.parametrize(('walk', 'level'), [(2, 'green'), (4, 'yellow')])
     def test_green_needs_a_bias_that_walks_about_as_set(

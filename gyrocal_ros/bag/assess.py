@@ -50,6 +50,9 @@ TURNED_RAD = math.pi / 2.0
 MIN_FEATURES = 4.0
 """Minimum of the mean number of features per image."""
 AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the axes in its driver or firmware'
+STAMP_AT_MEASUREMENT = (
+    'turns are integrated over wrong times; let the driver stamp at the measurement, not on arrival'
+)
 TURN_ADVICE = 'turn on the spot, a few full turns to each side, some slow and some fast'
 
 
@@ -140,10 +143,11 @@ def _stamp_issues(scan: TopicScan, reorder_window_s: float) -> Iterator[BagIssue
             f'{stamps.uneven / stamps.count:.0%} of the intervals between stamps differ from the usual '
             f'{1e3 / stamps.rate_hz:.3g} ms by more than half'
         )
-        todo = (
-            'turns are integrated over wrong times; let the driver stamp at the measurement, not on arrival'
-        )
-        yield _issue(scan, WARNING, 'irregular_stamps', text, todo)
+        yield _issue(scan, WARNING, 'irregular_stamps', text, STAMP_AT_MEASUREMENT)
+    elif scan.role is Role.IMU and stamps.lost > stamps.count:
+        mean_ms = 1e3 * seconds(stamps.last_ns - stamps.first_ns) / stamps.count
+        text = f'the stamps come in bursts: {1e3 / stamps.rate_hz:.3g} ms apart, {mean_ms:.2g} ms on average'
+        yield _issue(scan, WARNING, 'irregular_stamps', text, STAMP_AT_MEASUREMENT)
     elif scan.role is Role.IMU and stamps.lost > MAX_LOST_SHARE * stamps.count:
         text = f'{stamps.lost / (stamps.lost + stamps.count):.0%} of the samples are missing'
         todo = 'turns are integrated over longer intervals; look at the load of the computer'

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.separability import drive_for, how_to_tell_apart
-from gyrocal_ros.diagnose.shapes import TIME, UnexplainedStructure
+from gyrocal_ros.diagnose.shapes import TEMPERATURE_C, TIME, UnexplainedStructure
 from gyrocal_ros.effects.traits import NOT_RECORDED
 from gyrocal_ros.model.sensor import Effect
 
@@ -21,6 +21,8 @@ MEND_STAMPS = (
 )
 MAX_TWINS = 3
 """Number of effects that are listed in place of one."""
+RECORDED = '.'
+"""What is in the name of a recorded signal, between topic and field, and in no other."""
 CAUTION = (
     'A signal that changes slowly goes together with anything that changes slowly: '
     'find a reason, or make it change often, before you trust this.'
@@ -102,7 +104,8 @@ def _on_structure(structure: UnexplainedStructure) -> Iterator[str]:
             f'Look for what links the {kind} of the gyro to {signal}. If you know the law, write it as '
             'an effect of your own (docs/your_own_effect.md) and give it with --effects-from.'
         )
-        yield CAUTION
+        if RECORDED in signal or signal == TEMPERATURE_C:
+            yield CAUTION
 
 
 def _what_to_record(not_judged: dict[str, str]) -> Iterator[str]:

@@ -126,8 +126,11 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
             sentence += f'; {_drifts(fit)}'
         turned_enough = min(turned_deg(run)) > ENOUGH_TURN_DEG
         return Status('yellow', f'{sentence}.', DIAGNOSE if turned_enough else MORE_TURNS)
+    if not calibration.converged and calibration.doubt:
+        sentence = f'Not calibrated yet: {"; ".join(filter(None, (calibration.doubt, fault)))}.'
+        return Status('yellow', sentence, remedy if fault else RECORD)
     if not calibration.converged:
-        sentence = 'Not to be trusted: at the end the innovations are not as large as the filter expects.'
+        sentence = 'Not to be trusted: the innovations are larger than the filter expects.'
         return Status('red', sentence, 'Look at the warnings, the camera calibration and the time stamps.')
     sentence = f'Calibrated: the scale factor was known to {threshold} after {converged_s:.0f} s'
     left_deg, right_deg = turned_deg(run)

@@ -91,9 +91,15 @@ class Convergence:
         absorbed since, as where the camera calibration is wrong. Innovations that stay small are those of
         features better than the filter assumes.
         """
+        return self.has_measured and not self.doubt(config) and not self.is_contradicted(config)
+
+    def doubt(self, config: ConvergenceConfig) -> str:
+        """Return why it is too early to call the innovations consistent, as a clause; empty where not."""
         if self._after_change and len(self._recent) < STEPS_AFTER_CHANGE:
-            return False
-        return self.has_measured and not self.is_too_calm(config) and not self.is_contradicted(config)
+            return 'too little has been measured since the scale factor changed'
+        if self.is_too_calm(config):
+            return f'the filter has not yet learned how little the images err (NIS {self.recent_nis:.1f})'
+        return ''
 
     def is_too_calm(self, config: ConvergenceConfig) -> bool:
         """Return True while innovations are small because the noise is not estimated yet."""

@@ -16,7 +16,8 @@ from gyrocal_ros.model.camera import project
 from gyrocal_ros.model.features.base import Anchors, PosedCamera
 
 TURNS_WITH_CAMERA = (
-    'what the camera sees turns with it, as dust on the lens in the dark: such images are left out'
+    'what the camera sees turns with it, as dust on the lens in the dark, or the gyro is far off: such '
+    'images are left out'
 )
 """Event of a run."""
 STAYS_PX, STAYS_STD = 0.3, 3.0

@@ -54,6 +54,8 @@ class Calibration:
     end_ns: int
     temperature_c: float = math.nan
     """Temperature of the gyro at the end; NaN where unknown."""
+    doubt: str = ''
+    """Why it is too early to call the innovations consistent, as a clause; empty where it is not."""
 
     @property
     def stds(self) -> Array:
@@ -110,6 +112,7 @@ def conclude(run: Run) -> Calibration:
         end_ns=run.span.end_ns,
         temperature_c=_last_finite(history.temperature_c),
         inflation=np.maximum(inflations[-1], convergence.inflation),
+        doubt=convergence.doubt(criteria),
     )
 
 
@@ -125,6 +128,7 @@ def calibration_of(
     end_ns: int,
     temperature_c: float,
     inflation: Array,
+    doubt: str = '',
 ) -> Calibration:
     """Return the calibration by a state of the filter.
 
@@ -147,6 +151,7 @@ def calibration_of(
         source=source,
         end_ns=end_ns,
         temperature_c=temperature_c,
+        doubt=doubt,
     )
 
 

@@ -96,6 +96,16 @@ def test_an_effect_of_the_model_is_reported_and_not_changed(tmp_path: Path, caps
     assert path.read_text(encoding='utf-8') == TEXTS['nested']
 
 
+def test_a_signal_without_a_reference_is_told_to_count_from_zero(tmp_path: Path, capsys: Output) -> None:
+    path, current = tmp_path / 'model.yaml', 'covariate_scale:battery_state.current'
+    assert main(['add', current, '--model', str(path)]) == 0
+    assert 'battery_state.current counts from 0' in capsys.readouterr().err
+    voltage = ['covariate_bias:battery_state.voltage', '--set', 'reference=16']
+    assert main(['add', *voltage, '--model', str(path)]) == 0
+    assert main(['add', 'gyro_lag', '--model', str(path)]) == 0
+    assert not capsys.readouterr().err
+
+
 def test_prior_means_and_options_can_be_set(tmp_path: Path) -> None:
     path = tmp_path / 'model.yaml'
     assert main(['add', 'rate_saturation', '--set', 'limit=1.05', '--model', str(path)]) == 0

@@ -14,6 +14,7 @@ from typing import Any
 
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.options import complete_with
+from gyrocal_ros.cli.output import print_message
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.effects.model_file import load_model, options_of, with_entry
 from gyrocal_ros.effects.quantities import coefficient_prior
@@ -67,8 +68,20 @@ def run(args: argparse.Namespace) -> None:
     else:
         text = with_entry(text, entry, str(start))
         names.append(args.effect)
+        _tell_reference(args.effect, entry)
     write_text_atomic(out, text, overwrite=args.overwrite or args.out is None)
     print(f'{out}: {", ".join(names)}')
+
+
+def _tell_reference(name: str, entry: str | Mapping[str, Any]) -> None:
+    """Tell where a signal is counted from, unless that was given: bias and scale factor are those there."""
+    effect = find_effect(name)
+    if 'reference' in options_of(effect) and (isinstance(entry, str) or 'reference' not in entry):
+        signal = getattr(effect, 'signal', name)
+        print_message(
+            f'{signal} counts from 0, so that bias and scale factor are those at 0: give its mean as '
+            '--set reference=VALUE; `gyrocal diagnose` tells it'
+        )
 
 
 def model_entry(name: str, settings: Sequence[str]) -> str | Mapping[str, Any]:

@@ -14,6 +14,7 @@ from gyrocal_ros.diagnose.examined import ExaminedModel, with_effect
 from gyrocal_ros.diagnose.heading_filter import headings
 from gyrocal_ros.diagnose.ranking import rank
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
+from gyrocal_ros.diagnose.shapes import RATE, ErrorShape, UnexplainedStructure
 from gyrocal_ros.diagnose.timing import (
     CHANGES_NIS_RATIO,
     JITTERS_NIS_RATIO,
@@ -204,3 +205,14 @@ def test_an_offset_that_follows_the_rate_is_none_of_the_stamps(sign: float, nois
 def test_an_offset_that_jumps_between_turns_of_one_rate_does_not_follow_it() -> None:
     fault = timing_fault(examined_with(0.02 * np.tile([0.0, 1.0], BLOCKS)[:BLOCKS], 0.0, BOTH))
     assert fault is not None and fault.kind == 'changes'
+
+
+@pytest.mark.parametrize(('part', 'is_fault'), [(0.5, True), (1.5, False)])
+def test_a_law_that_the_headings_show_is_no_fault_of_the_stamps(part: float, is_fault: bool) -> None:
+    """A ripple of the scale over the rate looked like an offset that jumps; wrong stamps bend no heading."""
+    examined = examined_with(SAWTOOTH_S, 0.0, BOTH)
+    fault = timing_fault(examined)
+    assert fault is not None
+    shape = ErrorShape(RATE, False, *np.empty((3, 0)))
+    law = UnexplainedStructure('the bias goes with rate (deg/s)', part * fault.gain, 30.0, shape)
+    assert (timing_fault(replace(examined, unexplained_structure=law)) is not None) == is_fault

@@ -151,10 +151,17 @@ def _changing(
     spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
     if may_jitter and 2.0 * max(gain, known) < JITTERS_PART * excess:
         return _jitter(examined, max(gain, known), float(blocks.information.sum()), spread)
-    explains = gain - price > MARGIN * known and 2.0 * gain > CHANGES_PART * excess
+    explains = gain - price > max(MARGIN * known, _gain_of_structure(examined))
+    explains = explains and 2.0 * gain > CHANGES_PART * excess
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S or _follow_the_rate(blocks, examined.run):
         return None
     return TimingFault('changes', *spread, float(np.std(sharp)), gain)
+
+
+def _gain_of_structure(examined: ExaminedModel) -> float:
+    """Return the log-likelihood that the headings gain by a law of the gyro; wrong stamps bend none."""
+    structure = examined.unexplained_structure
+    return 0.0 if structure is None else structure.gain
 
 
 def _follow_the_rate(blocks: _BlockOffsets, run: Run) -> bool:

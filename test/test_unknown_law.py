@@ -152,17 +152,21 @@ def test_effects_that_follow_signals_or_a_noise_beside_others_may_imitate_a_law(
 @pytest.mark.parametrize(
     ('names', 'together_with', 'gain', 'is_law'),
     [
-        (('gyro_lag', 'camera_time_offset'), '', MIN_GAIN + 1.0, True),
-        (('scale_cubic', 'camera_time_offset', 'gyro_lag'), '', MIN_GAIN + 1.0, True),
-        (('gyro_lag', 'camera_time_offset'), '', MIN_GAIN - 1.0, False),
-        (('gyro_lag', 'scale_cubic'), '', MIN_GAIN + 1.0, False),
-        (('gyro_lag', 'scale_cubic'), 'scale_cubic', MIN_GAIN + 1.0, True),
-        (('gyro_lag', 'scale_cubic'), 'scale_cubic', MIN_GAIN - 1.0, False),
-        (('camera_tilt', 'principal_point'), '', MIN_GAIN + 1.0, False),
+        (('gyro_lag', 'camera_time_offset'), (), MIN_GAIN + 1.0, True),
+        (('scale_cubic', 'camera_time_offset', 'gyro_lag'), (), MIN_GAIN + 1.0, True),
+        (('gyro_lag', 'camera_time_offset'), (), MIN_GAIN - 1.0, False),
+        (('gyro_lag', 'scale_cubic'), (), MIN_GAIN + 1.0, False),
+        (('gyro_lag', 'scale_cubic'), ('scale_cubic',), MIN_GAIN + 1.0, True),
+        (('gyro_lag', 'scale_cubic'), ('scale_cubic',), MIN_GAIN - 1.0, False),
+        (('camera_tilt', 'principal_point'), (), MIN_GAIN + 1.0, False),
     ],
 )
 def test_two_effects_that_look_alike_or_explain_only_together_are_given_up_for_one_law(
-    names: tuple[str, ...], together_with: str, gain: float, is_law: bool, monkeypatch: pytest.MonkeyPatch
+    names: tuple[str, ...],
+    together_with: tuple[str, ...],
+    gain: float,
+    is_law: bool,
+    monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     """A low-pass of second order was called a lag and a camera whose images are stamped early."""
     monkeypatch.setattr(unknown_law, 'timing_fault', lambda examined: None)

@@ -61,8 +61,8 @@ class Addition:
     """Law with which a run predicts nearly as well as with this noise."""
     is_shown: bool = False
     """True for a noise that the readings themselves show."""
-    together_with: str = ''
-    """Effect beside which alone it explains the recording; the two are judged when both are added."""
+    together_with: tuple[str, ...] = ()
+    """Effects beside which alone it explains the recording; they are judged when all are added."""
     is_rewritten: bool = False
     """True for a closed form in place of the learned curve or memory of the same name."""
 

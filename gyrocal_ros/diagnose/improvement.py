@@ -225,7 +225,8 @@ def _reason(added: Addition) -> str:
     better = f'the recording is predicted better (log-likelihood +{size})'
     if added.together_with:
         gain = f'{added.predictive_gain:+.1f}'
-        return f'it explains the recording only together with {added.together_with} (log-likelihood {gain})'
+        others = ' and '.join(added.together_with)
+        return f'it explains the recording only together with {others} (log-likelihood {gain})'
     if added.is_kept:
         return better
     if not added.stands_out:

@@ -18,11 +18,11 @@ from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
 from gyrocal_ros.diagnose.learning import is_missing_something, likeliest_law
 from gyrocal_ros.diagnose.model_fit import model_fit
 from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
-from gyrocal_ros.diagnose.pairs import explained_by_pair
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.recovery import first_run
 from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search_from
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
+from gyrocal_ros.diagnose.several import explained_by_several
 from gyrocal_ros.diagnose.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.summarise import scatter_in_turns, walk_of_means, white_noise
 from gyrocal_ros.diagnose.timing import timing_fault
@@ -144,7 +144,7 @@ def _effects_or_noise(
     if timing_fault(found.last) is not None:
         return eliminate(found, recording, calibrate)
     if is_missing_something(found.last):
-        found = explained_by_pair(found, recording, calibrate)
+        found = explained_by_several(found, recording, calibrate)
     instead = or_noise(found, recording, calibrate, most)
     if not found.kept:
         return eliminate(instead, recording, calibrate)

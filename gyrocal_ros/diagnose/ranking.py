@@ -26,6 +26,8 @@ from gyrocal_ros.model.sensor import Effect, with_means
 
 MUCH_MORE = 2.0
 """Gain relative to that of a significant effect from which one that explains less evenly is the likelier."""
+MOST_COMBINATIONS = 50
+"""Number of combinations of effects that are looked at, the ones that gain most."""
 MAX_TOGETHER = 3
 """Number of effects that may explain a recording together."""
 
@@ -125,14 +127,14 @@ def best_explanation(
     most = single.merit
     for first in alone:
         for second in untried:
-            both = _pair(first, second, scores, settings) if second is not first else None
+            both = _together((first, second), scores, settings) if second is not first else None
             if both is None or both.merit <= most:
                 continue
             are_signals = follows_signal(first.effect) and follows_signal(second.effect)
             is_law = are_signals and not follows_signal(single.effect)
             part = settings.signals_part if is_law else settings.pair_part
             if both.merit > (1.0 + part) * single.merit + settings.significant_gain:
-                best, most = both.stronger, both.merit
+                best, most = both.effects[0], both.merit
     return best
 
 
@@ -181,53 +183,60 @@ def explained_together(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Pair:
-    """Two effects that explain a recording together."""
+class Together:
+    """Several effects that explain a recording together, the strongest first."""
 
-    stronger: RankedEffect
-    weaker: RankedEffect
-    beside: tuple[Fit, Fit]
-    """Fit of the stronger one beside the weaker, and of the weaker beside the stronger."""
+    effects: tuple[RankedEffect, ...]
+    beside: tuple[Fit, ...]
+    """Fit of each beside all others."""
     merit: float
 
 
-def best_pair(
-    ranked: Sequence[RankedEffect], scores: ScoreStatistics, settings: DiagnosisSettings
-) -> Pair | None:
-    """Return the two effects that explain most together, whether or not one of them explains anything alone.
+def best_together(
+    ranked: Sequence[RankedEffect], scores: ScoreStatistics, count: int, settings: DiagnosisSettings
+) -> Together | None:
+    """Return the effects that explain most together, whether or not one of them explains anything alone.
 
-    Where both are missing, the estimates of each alone scatter; those of the right two do not. One of them is
-    no recorded signal: two of these explain whatever changes slowly. Effects with a scan are left out.
+    Where all are missing, the estimates of each alone scatter; those of the right ones together do not. At
+    most one is a recorded signal: two of these explain whatever changes slowly. Effects with a scan are left
+    out.
 
     Args:
         ranked: ranked effects.
         scores: the score statistics that they were ranked by.
+        count: number of effects.
         settings: thresholds.
     """
-    best = None
-    for first, second in combinations([item for item in ranked if item.profile is None], 2):
-        if follows_signal(first.effect) and follows_signal(second.effect):
-            continue
-        both = _pair(first, second, scores, settings)
-        if both is not None and (best is None or both.merit > best.merit):
-            best = both
-    return best
+    linear = [item for item in ranked if item.profile is None]
+    found = [
+        (fitted.gain, items)
+        for items in combinations(linear, count)
+        if sum(follows_signal(item.effect) for item in items) <= 1
+        and (fitted := fit(scores, _columns(items))) is not None
+    ]
+    found.sort(key=lambda pair: pair[0], reverse=True)
+    significant = (_together(items, scores, settings) for _, items in found[:MOST_COMBINATIONS])
+    return next((item for item in significant if item is not None), None)
 
 
-def _pair(
-    first: RankedEffect, second: RankedEffect, scores: ScoreStatistics, settings: DiagnosisSettings
-) -> Pair | None:
-    """Fit both together; return None where one of them is not significant beside the other."""
-    a, b = first.fit.columns, second.fit.columns
-    joint, more, less = fit(scores, np.concatenate([a, b])), fit(scores, a, b), fit(scores, b, a)
-    if joint is None or more is None or less is None:
+def _columns(items: Iterable[RankedEffect]) -> IntArray:
+    return np.concatenate([item.fit.columns for item in items])
+
+
+def _together(
+    items: Sequence[RankedEffect], scores: ScoreStatistics, settings: DiagnosisSettings
+) -> Together | None:
+    """Fit effects together; return None where one of them is not significant beside the others."""
+    joint, fits = fit(scores, _columns(items)), []
+    for item in items:
+        beside = fit(scores, item.fit.columns, _columns(other for other in items if other is not item))
+        if beside is None or beside.sigma < settings.significant_sigma:
+            return None
+        fits.append((item, beside))
+    if joint is None:
         return None
-    if min(more.sigma, less.sigma) < settings.significant_sigma:
-        return None
-    merit = joint.gain - (first.fit.gain - first.merit + second.fit.gain - second.merit)
-    if more.gain >= less.gain:
-        return Pair(first, second, (more, less), merit)
-    return Pair(second, first, (less, more), merit)
+    effects, sorted_fits = zip(*sorted(fits, key=lambda pair: pair[1].gain, reverse=True), strict=True)
+    return Together(effects, sorted_fits, joint.gain - sum(item.fit.gain - item.merit for item in items))
 
 
 def indistinguishable(

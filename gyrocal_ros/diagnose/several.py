@@ -1,7 +1,7 @@
-"""Two effects that explain a recording only together.
+"""Effects that explain a recording only together.
 
-Where two large effects are missing, the model fails with either alone, and its estimates scatter from stretch
-to stretch. So neither is significant, or kept, though both at once explain everything.
+Where two or three effects are missing, the model fails with each alone, and its estimates scatter from
+stretch to stretch. So none is significant, or kept, though all at once explain everything.
 """
 
 from __future__ import annotations
@@ -9,21 +9,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 
 from gyrocal_ros.diagnose.additions import Addition, Search
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts
 from gyrocal_ros.diagnose.one_more import with_one_more
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.ranking import best_pair
+from gyrocal_ros.diagnose.ranking import Together, best_together
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 
+COUNTS = 2, 3
+"""Numbers of effects that are tried together."""
 
-def explained_by_pair(found: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
-    """Return a search, or one that adds two effects at once with which the model fits.
 
-    They are added to what was found, or else take its place.
+def explained_by_several(found: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
+    """Return a search, or one that adds several effects at once with which the model fits.
+
+    They are added to what was found, or else take its place; two before three.
 
     Args:
         found: a finished search, whose last model the recording contradicts.
@@ -31,34 +35,36 @@ def explained_by_pair(found: Search, recording: RecordingSummary, calibrate: Cal
         calibrate: runs the filter.
     """
     alone = replace(found, additions=tuple(item for item in found.additions if item.before is None))
-    for start in [found] if alone.last is found.last else [found, alone]:
+    starts = [found] if alone.last is found.last else [found, alone]
+    for count, start in product(COUNTS, starts):
+        last = start.last
+        together = best_together(last.ranked, last.scores, count, last.settings)
+        if together is None:
+            continue
         with suppress(*CANNOT_RUN):
-            added = tuple(_pair(start.last, recording, calibrate))
+            added = tuple(_added(last, together, recording, calibrate))
             other = replace(start, additions=(*start.additions, *added))
-            if added and not contradicts(other.last):
+            if not contradicts(other.last):
                 other = eliminate(other, recording, calibrate)
                 if _is_better(found, other):
                     return other
     return found
 
 
-def _pair(present: ExaminedModel, recording: RecordingSummary, calibrate: Calibrate) -> Iterator[Addition]:
-    """Add the two effects that explain most together, one after the other; none where no two do."""
-    pair = best_pair(present.ranked, present.scores, present.settings)
-    if pair is None:
-        return
-    for item, other, beside in (
-        (pair.stronger, pair.weaker, pair.beside[0]),
-        (pair.weaker, pair.stronger, pair.beside[1]),
-    ):
+def _added(
+    present: ExaminedModel, together: Together, recording: RecordingSummary, calibrate: Calibrate
+) -> Iterator[Addition]:
+    """Add effects one after the other, each with what it gains beside all others."""
+    for item, beside in zip(together.effects, together.beside, strict=True):
         added = with_one_more(present, item.effect, recording, calibrate)
+        others = tuple(other.effect.name for other in together.effects if other is not item)
         added = replace(added, gain=beside.gain, sigma=beside.sigma, p_value=beside.p_value)
-        yield replace(added, together_with=other.effect.name)
+        yield replace(added, together_with=others)
         present = added.after
 
 
 def _is_better(found: Search, other: Search) -> bool:
-    """Return True if another search predicts better, and its pairs are neither too small nor impossible."""
+    """Return True if another search predicts better, and nothing it added is too small or impossible."""
     gain = float(predictive_gain(found.last.run, other.last.run).sum())
     in_the_end = [replace(item, after=other.last) for item in other.kept if item.together_with]
     are_sound = all(item.stands_out and not (item.is_negligible or item.is_impossible) for item in in_the_end)

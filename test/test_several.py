@@ -1,4 +1,4 @@
-"""Two effects that explain a recording only together, and runs that are not repeated."""
+"""Effects that explain a recording only together, and runs that are not repeated."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.examined import MOST_REMEMBERED, examine, remembered
 from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.pairs import explained_by_pair
-from gyrocal_ros.diagnose.ranking import best_pair, rank
+from gyrocal_ros.diagnose.ranking import best_together, rank
 from gyrocal_ros.diagnose.search import search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
+from gyrocal_ros.diagnose.several import explained_by_several
 from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
@@ -29,35 +29,47 @@ OPPOSITE = DrawnEffect('scale_asymmetry', (0.01,)), DrawnEffect('scale_quadratic
 """Errors of the scale factor that nearly cancel at usual rates."""
 
 
-class TestBestPair:
+class TestBestTogether:
     def test_two_effects_that_hide_each_other_are_found(self) -> None:
         """Alone, either explains next to nothing, for the columns are alike and the effects opposite."""
         (columns, noise), (others, _) = independent(3), independent(1, seed=1)
         columns[:, :, 1] = columns[:, :, 0] + 0.2 * others[:, :, 0]
         scores = score_statistics_of(columns, columns @ [2.0, -2.0, 0.0] + 0.1 * noise, ONES[:3])
         ranked = rank(scores, SETTINGS)
-        pair = best_pair(ranked, scores, SETTINGS)
+        pair = best_together(ranked, scores, 2, SETTINGS)
         assert pair is not None
-        assert {pair.stronger.effect.name, pair.weaker.effect.name} == {'scale_asymmetry', 'scale_quadratic'}
+        assert {item.effect.name for item in pair.effects} == {'scale_asymmetry', 'scale_quadratic'}
         more, less = pair.beside
         assert min(more.sigma, less.sigma) > SETTINGS.significant_sigma and more.gain >= less.gain
         assert sorted(float(item.values[0]) for item in pair.beside) == pytest.approx([-2.0, 2.0], abs=0.1)
         assert max(item.merit for item in ranked) < 0.2 * pair.merit
 
+    def test_three_effects_are_no_two(self) -> None:
+        columns, noise = independent(4)
+        truth = [2.0, -1.5, 1.0, 0.0]
+        scores = score_statistics_of(columns, columns @ truth + 0.1 * noise, ONES)
+        ranked = rank(scores, SETTINGS)
+        three = best_together(ranked, scores, 3, SETTINGS)
+        assert three is not None
+        assert [item.effect.name for item in three.effects] == [effect.name for effect in ONES[:3]]
+        assert [float(item.values[0]) for item in three.beside] == pytest.approx(truth[:3], abs=0.1)
+        two = best_together(ranked, scores, 2, SETTINGS)
+        assert two is not None and two.merit < three.merit
+
     def test_one_effect_alone_is_no_pair(self) -> None:
         columns, noise = independent(3)
         scores = score_statistics_of(columns, columns @ [2.0, 0.0, 0.0] + noise, ONES[:3])
-        assert best_pair(rank(scores, SETTINGS), scores, SETTINGS) is None
+        assert best_together(rank(scores, SETTINGS), scores, 2, SETTINGS) is None
 
     def test_two_recorded_signals_are_no_pair(self) -> None:
         columns, noise = independent(2)
         signals = covariate_bias('first', 0.0, 1.0), covariate_bias('second', 0.0, 1.0)
         for effects, is_pair in ((signals, False), ((ONES[0], signals[1]), True)):
             scores = score_statistics_of(columns, columns @ [2.0, -2.0] + noise, effects)
-            assert (best_pair(rank(scores, SETTINGS), scores, SETTINGS) is not None) == is_pair
+            assert (best_together(rank(scores, SETTINGS), scores, 2, SETTINGS) is not None) == is_pair
 
 
-class TestExplainedByPair:
+class TestExplainedBySeveral:
     @pytest.mark.slow
     def test_effects_that_nearly_cancel_are_found_with_their_values(self) -> None:
         source = recording(*OPPOSITE, seconds=100.0, seed=2)
@@ -69,7 +81,7 @@ class TestExplainedByPair:
             values, stds = found.last.estimate_of(name)
             assert values[0] == pytest.approx(truth, abs=3.0 * stds[0]) and stds[0] < 0.05 * abs(truth)
         first, second = found.kept
-        assert (first.together_with, second.together_with) == (second.effect.name, first.effect.name)
+        assert (first.together_with, second.together_with) == ((second.effect.name,), (first.effect.name,))
         assert f'only together with {second.effect.name}' in improvement(found).revisions[-2].why
 
     @pytest.mark.slow
@@ -77,7 +89,7 @@ class TestExplainedByPair:
         source = recording(seconds=60.0)
         recorded, calibrate = summarise_recording(source), runner(source)
         plain = Search(examine(default_model(), recorded, calibrate), ())
-        assert explained_by_pair(plain, recorded, calibrate) is plain
+        assert explained_by_several(plain, recorded, calibrate) is plain
 
 
 @dataclass

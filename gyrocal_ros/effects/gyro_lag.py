@@ -15,12 +15,13 @@ from gyrocal_ros.model.sensor import Coefficient, TypicalRange
 
 @dataclass(frozen=True)
 class GyroLag(LinearGyroEffect):
-    """`tau dw/dt` undoes a first-order low-pass filter of time constant tau."""
+    """`tau dw_n/dt` undoes a first-order low-pass filter of time constant tau over the scale factor."""
 
     about: ClassVar[Explanation] = Explanation(
         physics='A low-pass filter in the sensor suppresses noise and delays every change of the rate. '
         'Where a turn begins the sensor reads too little, and where it ends it still reads a rate. '
-        'Over a whole turn the two cancel; in between the heading lags by rate times delay.',
+        'Over a whole turn the two cancel; in between the heading lags by rate times delay. '
+        'The delay is tau divided by the scale factor.',
         equation='w = w_n + tau dw_n/dt',
         usual_size='5 to 60 ms',
         best_motion='turns that start and stop abruptly',

@@ -85,7 +85,7 @@ def nothing_learned(contradicts: bool) -> str:
     """
     if contradicts:
         return 'Nothing was learned: no law predicts the recording better without more drift.'
-    return 'Nothing was learned: the recording does not contradict the model.'
+    return 'No law was learned: the recording does not contradict the model.'
 
 
 def bump_in_words(found: BumpFit) -> str:

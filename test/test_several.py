@@ -11,8 +11,11 @@ from test_learning import recording, runner
 from test_ranking import ONES, independent
 
 from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.advice import advice
+from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.examined import MOST_REMEMBERED, examine, remembered
 from gyrocal_ros.diagnose.improvement import improvement
+from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.ranking import best_together, rank
 from gyrocal_ros.diagnose.search import search
@@ -83,6 +86,16 @@ class TestExplainedBySeveral:
         first, second = found.kept
         assert (first.together_with, second.together_with) == ((second.effect.name,), (first.effect.name,))
         assert f'only together with {second.effect.name}' in improvement(found).revisions[-2].why
+        diagnosis = diagnose(found, recorded)
+        assert diagnosis.verdict == 'effect_found'
+        assert any(
+            'explain the recording only together: add all of them' in text for text in advice(diagnosis)
+        )
+        shown = summarise_diagnosis(found, diagnosis)['missing']
+        assert {(item['effect'], *item['together_with']) for item in shown} == {
+            ('scale_asymmetry', 'scale_quadratic'),
+            ('scale_quadratic', 'scale_asymmetry'),
+        }
 
     @pytest.mark.slow
     def test_a_recording_that_hides_nothing_has_no_pair(self) -> None:

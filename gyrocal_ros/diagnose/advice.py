@@ -38,6 +38,9 @@ def advice(diagnosis: Diagnosis) -> list[str]:
         for item in diagnosis.missing
         for sentence in how_to_tell_apart(item.effect.name, item.confused_with[:MAX_TWINS])
     ]
+    together = [item.effect.name for item in diagnosis.missing if item.together_with]
+    if together:
+        sentences.append(f'{join(together)} explain the recording only together: add all of them.')
     if diagnosis.unexplained is not None:
         sentences += _on_structure(diagnosis.unexplained)
     if diagnosis.proven_limits and diagnosis.verdict != 'nothing_missing':  # there the status says so

@@ -68,6 +68,8 @@ class MissingEffect:
     NaN where no such span is left."""
     confused_with: tuple[str, ...]
     """Effects that this recording cannot distinguish from it."""
+    together_with: tuple[str, ...] = ()
+    """Effects beside which alone it explains the recording: the model needs all of them."""
     raises_drift: bool = False
     """True for a noise with which the robot drifts more: with the right one it would drift less."""
 
@@ -243,6 +245,7 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
             drift_before_deg=before.rms_deg if before is not None else float('nan'),
             drift_after_deg=after.rms_deg,
             confused_with=confused.get(item.effect.name, ()),
+            together_with=item.together_with,
             raises_drift=before is not None and is_noise(item.effect) and drifts_more(before, after),
         )
 

@@ -168,6 +168,7 @@ def _missing(item: MissingEffect) -> dict[str, Any]:
         'held_out_drift_before_deg': item.drift_before_deg,
         'held_out_drift_after_deg': item.drift_after_deg,
         'confused_with': item.confused_with,
+        'together_with': item.together_with,
     }
 
 

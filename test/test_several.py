@@ -10,6 +10,7 @@ from synthetic import score_statistics_of
 from test_learning import recording, runner
 from test_ranking import ONES, independent
 
+from gyrocal_ros.diagnose import several
 from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import advice
 from gyrocal_ros.diagnose.diagnosis import diagnose
@@ -39,7 +40,7 @@ class TestBestTogether:
         columns[:, :, 1] = columns[:, :, 0] + 0.2 * others[:, :, 0]
         scores = score_statistics_of(columns, columns @ [2.0, -2.0, 0.0] + 0.1 * noise, ONES[:3])
         ranked = rank(scores, SETTINGS)
-        pair = best_together(ranked, scores, 2, SETTINGS)
+        pair = best_together(ranked, scores, 2, 1, SETTINGS)
         assert pair is not None
         assert {item.effect.name for item in pair.effects} == {'scale_asymmetry', 'scale_quadratic'}
         more, less = pair.beside
@@ -52,24 +53,29 @@ class TestBestTogether:
         truth = [2.0, -1.5, 1.0, 0.0]
         scores = score_statistics_of(columns, columns @ truth + 0.1 * noise, ONES)
         ranked = rank(scores, SETTINGS)
-        three = best_together(ranked, scores, 3, SETTINGS)
+        three = best_together(ranked, scores, 3, 1, SETTINGS)
         assert three is not None
         assert [item.effect.name for item in three.effects] == [effect.name for effect in ONES[:3]]
         assert [float(item.values[0]) for item in three.beside] == pytest.approx(truth[:3], abs=0.1)
-        two = best_together(ranked, scores, 2, SETTINGS)
+        two = best_together(ranked, scores, 2, 1, SETTINGS)
         assert two is not None and two.merit < three.merit
 
     def test_one_effect_alone_is_no_pair(self) -> None:
         columns, noise = independent(3)
         scores = score_statistics_of(columns, columns @ [2.0, 0.0, 0.0] + noise, ONES[:3])
-        assert best_together(rank(scores, SETTINGS), scores, 2, SETTINGS) is None
+        assert best_together(rank(scores, SETTINGS), scores, 2, 1, SETTINGS) is None
 
-    def test_two_recorded_signals_are_no_pair(self) -> None:
+    def test_two_recorded_signals_are_a_pair_only_where_that_is_allowed(self) -> None:
         columns, noise = independent(2)
         signals = covariate_bias('first', 0.0, 1.0), covariate_bias('second', 0.0, 1.0)
-        for effects, is_pair in ((signals, False), ((ONES[0], signals[1]), True)):
+        for effects, allowed, is_pair in (
+            (signals, 1, False),
+            (signals, 2, True),
+            ((ONES[0], signals[1]), 1, True),
+        ):
             scores = score_statistics_of(columns, columns @ [2.0, -2.0] + noise, effects)
-            assert (best_together(rank(scores, SETTINGS), scores, 2, SETTINGS) is not None) == is_pair
+            found = best_together(rank(scores, SETTINGS), scores, 2, allowed, SETTINGS)
+            assert (found is not None) == is_pair
 
 
 class TestExplainedBySeveral:
@@ -96,6 +102,17 @@ class TestExplainedBySeveral:
             ('scale_asymmetry', 'scale_quadratic'),
             ('scale_quadratic', 'scale_asymmetry'),
         }
+
+    @pytest.mark.slow
+    def test_a_walk_of_the_bias_that_explains_as_much_is_preferred(
+        self, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        source = recording(*OPPOSITE, seconds=100.0, seed=2)
+        recorded, calibrate = summarise_recording(source), remembered(runner(source))
+        plain = Search(examine(default_model(), recorded, calibrate), ())
+        assert len(explained_by_several(plain, recorded, calibrate).kept) == 2
+        monkeypatch.setattr(several, 'a_walk_explains', lambda before, after: True)
+        assert explained_by_several(plain, recorded, calibrate) is plain
 
     @pytest.mark.slow
     def test_a_recording_that_hides_nothing_has_no_pair(self) -> None:

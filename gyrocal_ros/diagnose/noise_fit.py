@@ -63,12 +63,17 @@ def unless_a_walk_explains(added: Addition) -> Addition:
     """Return an addition with an objection where a walk of the bias explains what a recorded signal does."""
     if added.before is None or not follows_signal(added.effect):
         return added
-    explained = heading_log_likelihood(added.after.seen) - heading_log_likelihood(added.before.seen)
-    walks = [item.gain for item in fit_noises(added.before) if is_bias_walk(item.effect)]
-    by_walk = max(walks, default=0.0)
-    if by_walk < MIN_GAIN_OVER_WALK or explained > by_walk + MIN_GAIN_OVER_WALK:
+    if not a_walk_explains(added.before, added.after):
         return added
     return replace(added, objection='a bias that walks more than the settings say explains as much')
+
+
+def a_walk_explains(before: ExaminedModel, after: ExaminedModel) -> bool:
+    """Return True if a walk of the bias explains the headings as well as what a model has beyond another."""
+    explained = heading_log_likelihood(after.seen) - heading_log_likelihood(before.seen)
+    walks = [item.gain for item in fit_noises(before) if is_bias_walk(item.effect)]
+    by_walk = max(walks, default=0.0)
+    return by_walk >= MIN_GAIN_OVER_WALK and explained <= by_walk + MIN_GAIN_OVER_WALK
 
 
 def _fits(present: ExaminedModel) -> Iterator[NoiseFit]:

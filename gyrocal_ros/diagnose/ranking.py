@@ -193,25 +193,29 @@ class Together:
 
 
 def best_together(
-    ranked: Sequence[RankedEffect], scores: ScoreStatistics, count: int, settings: DiagnosisSettings
+    ranked: Sequence[RankedEffect],
+    scores: ScoreStatistics,
+    count: int,
+    signals: int,
+    settings: DiagnosisSettings,
 ) -> Together | None:
     """Return the effects that explain most together, whether or not one of them explains anything alone.
 
-    Where all are missing, the estimates of each alone scatter; those of the right ones together do not. At
-    most one is a recorded signal: two of these explain whatever changes slowly. Effects with a scan are left
-    out.
+    Where all are missing, the estimates of each alone scatter; those of the right ones together do not.
+    Effects with a scan are left out.
 
     Args:
         ranked: ranked effects.
         scores: the score statistics that they were ranked by.
         count: number of effects.
+        signals: number of effects among them, at most, that follow a recorded signal.
         settings: thresholds.
     """
     linear = [item for item in ranked if item.profile is None]
     found = [
         (fitted.gain, items)
         for items in combinations(linear, count)
-        if sum(follows_signal(item.effect) for item in items) <= 1
+        if sum(follows_signal(item.effect) for item in items) <= signals
         and (fitted := fit(scores, _columns(items))) is not None
     ]
     found.sort(key=lambda pair: pair[0], reverse=True)

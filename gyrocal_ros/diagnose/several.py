@@ -14,20 +14,22 @@ from itertools import product
 from gyrocal_ros.diagnose.additions import Addition, Search
 from gyrocal_ros.diagnose.elimination import eliminate
 from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, contradicts
+from gyrocal_ros.diagnose.noise_fit import a_walk_explains
 from gyrocal_ros.diagnose.one_more import with_one_more
 from gyrocal_ros.diagnose.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.ranking import Together, best_together
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 
-COUNTS = 2, 3
-"""Numbers of effects that are tried together."""
+TRIED = (2, 1), (3, 1), (2, 2)
+"""Numbers of effects that are tried together, and of recorded signals that may be among them: two of these
+explain whatever changes slowly, so laws come first."""
 
 
 def explained_by_several(found: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
     """Return a search, or one that adds several effects at once with which the model fits.
 
-    They are added to what was found, or else take its place; two before three.
+    They are added to what was found, or else take its place.
 
     Args:
         found: a finished search, whose last model the recording contradicts.
@@ -36,15 +38,15 @@ def explained_by_several(found: Search, recording: RecordingSummary, calibrate: 
     """
     alone = replace(found, additions=tuple(item for item in found.additions if item.before is None))
     starts = [found] if alone.last is found.last else [found, alone]
-    for count, start in product(COUNTS, starts):
+    for (count, signals), start in product(TRIED, starts):
         last = start.last
-        together = best_together(last.ranked, last.scores, count, last.settings)
+        together = best_together(last.ranked, last.scores, count, signals, last.settings)
         if together is None:
             continue
         with suppress(*CANNOT_RUN):
             added = tuple(_added(last, together, recording, calibrate))
             other = replace(start, additions=(*start.additions, *added))
-            if not contradicts(other.last):
+            if not (contradicts(other.last) or a_walk_explains(last, other.last)):
                 other = eliminate(other, recording, calibrate)
                 if _is_better(found, other):
                     return other

@@ -98,6 +98,10 @@ class TestExplainedBySeveral:
             'explain the recording only together: add all of them' in text for text in advice(diagnosis)
         )
         shown = summarise_diagnosis(found, diagnosis)['missing']
+        drifts = {(item['held_out_drift_before_deg'], item['held_out_drift_after_deg']) for item in shown}
+        assert len(drifts) == 1, 'that without both and with both'
+        ((before_deg, after_deg),) = drifts
+        assert after_deg < 0.5 * before_deg
         assert {(item['effect'], *item['together_with']) for item in shown} == {
             ('scale_asymmetry', 'scale_quadratic'),
             ('scale_quadratic', 'scale_asymmetry'),

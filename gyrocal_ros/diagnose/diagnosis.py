@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import NONE, Search
+from gyrocal_ros.diagnose.additions import NONE, Addition, Search
 from gyrocal_ros.diagnose.drift import (
     BlindDrift,
     blind_drift,
@@ -233,8 +233,9 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
     confused = look_alikes(searched)
     for item in searched.kept:
         values, stds = searched.last.estimate_of(item.effect.name)
-        before = drift(item.before, item.known_from_s) if item.before is not None else None
-        after = drift(item.after, item.known_from_s)
+        first, last = _added_with(item, searched.kept)
+        before = drift(first.before, last.known_from_s) if first.before is not None else None
+        after = drift(last.after, last.known_from_s)
         yield MissingEffect(
             effect=with_means(item.effect, values.tolist()),
             values=values,
@@ -248,6 +249,13 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
             together_with=item.together_with,
             raises_drift=before is not None and is_noise(item.effect) and drifts_more(before, after),
         )
+
+
+def _added_with(item: Addition, kept: Sequence[Addition]) -> tuple[Addition, Addition]:
+    """Return the first and the last of the effects that explain a recording only together with one."""
+    names = {item.effect.name, *item.together_with}
+    group = [other for other in kept if other.effect.name in names]
+    return group[0], group[-1]
 
 
 def _not_added(best: RankedEffect, examined: ExaminedModel) -> MissingEffect:

@@ -29,7 +29,7 @@ explain whatever changes slowly, so laws come first."""
 def explained_by_several(found: Search, recording: RecordingSummary, calibrate: Calibrate) -> Search:
     """Return a search, or one that adds several effects at once with which the model fits.
 
-    They are added to what was found, or else take its place.
+    They are added to what was found, or take its place.
 
     Args:
         found: a finished search, whose last model the recording contradicts.
@@ -60,9 +60,10 @@ def _added(
     for item, beside in zip(together.effects, together.beside, strict=True):
         added = with_one_more(present, item.effect, recording, calibrate)
         others = tuple(other.effect.name for other in together.effects if other is not item)
-        added = replace(added, gain=beside.gain, sigma=beside.sigma, p_value=beside.p_value)
-        yield replace(added, together_with=others)
         present = added.after
+        yield replace(
+            added, gain=beside.gain, sigma=beside.sigma, p_value=beside.p_value, together_with=others
+        )
 
 
 def _is_better(found: Search, other: Search) -> bool:

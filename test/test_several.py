@@ -106,6 +106,8 @@ class TestExplainedBySeveral:
             ('scale_asymmetry', 'scale_quadratic'),
             ('scale_quadratic', 'scale_asymmetry'),
         }
+        (left,) = diagnose(replace(found, additions=found.additions[:-1]), recorded).missing
+        assert not left.together_with, 'the other one was removed again'
 
     @pytest.mark.slow
     def test_a_walk_of_the_bias_that_explains_as_much_is_preferred(
@@ -134,7 +136,7 @@ class Changeable:
 
 
 class TestRemembered:
-    def test_the_latest_runs_are_not_repeated(self, monkeypatch: pytest.MonkeyPatch) -> None:
+    def test_the_latest_runs_are_not_repeated(self) -> None:
         ran: list[str] = []
 
         @dataclass(frozen=True)

@@ -233,7 +233,8 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
     confused = look_alikes(searched)
     for item in searched.kept:
         values, stds = searched.last.estimate_of(item.effect.name)
-        first, last = _added_with(item, searched.kept)
+        group = _added_with(item, searched.kept)
+        first, last = group[0], group[-1]
         before = drift(first.before, last.known_from_s) if first.before is not None else None
         after = drift(last.after, last.known_from_s)
         yield MissingEffect(
@@ -246,16 +247,17 @@ def _missing(searched: Search) -> Iterator[MissingEffect]:
             drift_before_deg=before.rms_deg if before is not None else float('nan'),
             drift_after_deg=after.rms_deg,
             confused_with=confused.get(item.effect.name, ()),
-            together_with=item.together_with,
+            together_with=tuple(other.effect.name for other in group if other is not item),
             raises_drift=before is not None and is_noise(item.effect) and drifts_more(before, after),
         )
 
 
-def _added_with(item: Addition, kept: Sequence[Addition]) -> tuple[Addition, Addition]:
-    """Return the first and the last of the effects that explain a recording only together with one."""
-    names = {item.effect.name, *item.together_with}
-    group = [other for other in kept if other.effect.name in names]
-    return group[0], group[-1]
+def _added_with(item: Addition, kept: Sequence[Addition]) -> list[Addition]:
+    """Return the effects that explain a recording only together, one of them given, in their order.
+
+    Some may have been removed again, beside what was found later.
+    """
+    return [other for other in kept if other.effect.name in {item.effect.name, *item.together_with}]
 
 
 def _not_added(best: RankedEffect, examined: ExaminedModel) -> MissingEffect:

@@ -34,7 +34,7 @@ from gyrocal_ros.sim.drives import CONTROLS, EVERYDAY, TEST_DRIVES
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.world import SimSource
 
-PAGE = Path(__file__).resolve().parent.parent / 'docs' / 'missing_physics.md'
+PAGE = Path(__file__).resolve().parent.parent / 'docs' / 'drives.md'
 
 
 @pytest.fixture(scope='module')

@@ -23,7 +23,7 @@ from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.checks import faults
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.sketch import sketch
-from gyrocal_ros.ekf.effects_by_place import (
+from gyrocal_ros.ekf.equations.effects_by_place import (
     PoseMotion,
     as_exposed,
     first_sight_by_values,
@@ -31,7 +31,7 @@ from gyrocal_ros.ekf.effects_by_place import (
     sort_effects,
     true_camera,
 )
-from gyrocal_ros.ekf.process_noise import yaw_noise_of
+from gyrocal_ros.ekf.noise.process_noise import yaw_noise_of
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.camera import project, project_with_jacobian
 from gyrocal_ros.model.features import PARAMETRISATIONS

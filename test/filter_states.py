@@ -11,11 +11,11 @@ from contracts import CAMERA, FEATURES, LATER_POSE, NOISE_PX, PIXELS, view_at
 from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, IntArray, MotionBlock
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.landmarks import augment
-from gyrocal_ros.ekf.predict import FilterModel, Transition, predict
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.predict import FilterModel, Transition, predict
+from gyrocal_ros.ekf.features.landmarks import augment
+from gyrocal_ros.ekf.state.layout import State
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.camera import bearing
 from gyrocal_ros.model.features import PARAMETRISATIONS

@@ -10,11 +10,11 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, IntArray, Mount, Rig, Span
-from gyrocal_ros.diagnose.heading_filter import Headings, headings
+from gyrocal_ros.diagnose.analysis.heading_filter import Headings, headings
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.run import History, Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
-from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State, no_landmarks
+from gyrocal_ros.ekf.history.run import History, Run
+from gyrocal_ros.ekf.history.score_statistics import BLOCK_S, ScoreStatistics
+from gyrocal_ros.ekf.state.layout import YAW, YAW_BIAS, State, no_landmarks
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.scenarios import CAMERA

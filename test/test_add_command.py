@@ -20,7 +20,7 @@ from gyrocal_ros.effects.covariate import covariate_bias, covariate_scale
 from gyrocal_ros.effects.library import SCALE_FACTOR
 from gyrocal_ros.effects.model_file import load_model, options_of
 from gyrocal_ros.effects.quantities import add_words
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW
 from gyrocal_ros.model.sensor import Effect, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.report.describe import coefficients_in_words

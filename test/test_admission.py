@@ -7,9 +7,9 @@ from dataclasses import replace
 import numpy as np
 from filter_states import some_state
 
-from gyrocal_ros.ekf.admission import Admission
-from gyrocal_ros.ekf.moving_features import MovingFeatures
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.features.admission import Admission
+from gyrocal_ros.ekf.features.moving_features import MovingFeatures
+from gyrocal_ros.ekf.state.layout import State
 
 FIXED = MovingFeatures()
 

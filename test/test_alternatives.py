@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from test_search import AT_REST, MIN_GAIN, FakeFilter
 
-from gyrocal_ros.diagnose import alternatives
-from gyrocal_ros.diagnose.additions import Addition, Search
-from gyrocal_ros.diagnose.alternatives import best_alternative, searched_again
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.search import MAX_ADDITIONS, search
+from gyrocal_ros.diagnose.search import alternatives
+from gyrocal_ros.diagnose.search.additions import Addition, Search
+from gyrocal_ros.diagnose.search.alternatives import best_alternative, searched_again
+from gyrocal_ros.diagnose.search.search import MAX_ADDITIONS, search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import default_model, find_effect
 

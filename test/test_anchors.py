@@ -11,15 +11,15 @@ from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.anchors import KNOWN_DEPTH, settled, with_constant_anchors, with_moved_anchors
-from gyrocal_ros.ekf.landmarks import augment, forget, keep
-from gyrocal_ros.ekf.map import ceiling_map
+from gyrocal_ros.ekf.equations.update import innovate
+from gyrocal_ros.ekf.features.anchors import KNOWN_DEPTH, settled, with_constant_anchors, with_moved_anchors
+from gyrocal_ros.ekf.features.landmarks import augment, forget, keep
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import POSE, State
+from gyrocal_ros.ekf.state.layout import POSE, State
+from gyrocal_ros.ekf.state.map import ceiling_map
 from gyrocal_ros.ekf.stream import SlamStream
-from gyrocal_ros.ekf.update import innovate
 from gyrocal_ros.model.camera import bearing
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.sim.forward import HiddenEffect

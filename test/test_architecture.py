@@ -110,6 +110,11 @@ def room(module: Path) -> str:
     return module.relative_to(PACKAGE).parts[0].removesuffix('.py')
 
 
+def part(module: Path) -> str:
+    """Part of a room: `features` of `gyrocal_ros/ekf/features/robust.py`, `slam` of `ekf/slam.py`."""
+    return module.relative_to(PACKAGE).parts[1].removesuffix('.py')
+
+
 def imported_modules(module: Path) -> set[str]:
     """Full dotted names of all that a module imports, inside functions too."""
     names = set()
@@ -176,6 +181,22 @@ def test_no_rooms_import_each_other_in_a_circle() -> None:
     for module in MODULES:
         graph.setdefault(room(module), set()).update(rooms_imported(module))
     assert list(TopologicalSorter(graph).static_order()), 'raises CycleError where there is a circle'
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('divided', sorted({path.parts[-3] for path in PACKAGE.glob('*/*/__init__.py')}))
+def test_no_parts_of_a_room_import_each_other_in_a_circle(divided: str) -> None:
+    """Parts are the folders of a room, and its modules beside them."""
+    graph: dict[str, set[str]] = {}
+    for module in MODULES:
+        if room(module) == divided:
+            names = imported_modules(module)
+            graph.setdefault(part(module), set()).update(
+                name.split('.')[2] for name in names if name.startswith(f'gyrocal_ros.{divided}.')
+            )
+    assert len(graph) > 1
+    circles = {name: others - {name} for name, others in graph.items()}
+    assert list(TopologicalSorter(circles).static_order()), 'raises CycleError where there is a circle'
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 from gyrocal_ros.bench import fleet as bench
 from gyrocal_ros.bench import fleet_prior
 from gyrocal_ros.effects import SCALE_FACTOR
-from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.fleet.result import CALIBRATED, BagScores
 from gyrocal_ros.sim.fleet import FleetBag
 

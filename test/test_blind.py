@@ -16,10 +16,10 @@ from gyrocal_ros.bench import blind as bench
 from gyrocal_ros.bench.accuracy import first_seeds
 from gyrocal_ros.bench.blind import MOMENT_S, BlindResult, blind, is_excused, is_right, row, run_blind
 from gyrocal_ros.bench.blind_cases import PAIRS, TRIPLES, WRONG_NOISE, Case, cases
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit
+from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
-from gyrocal_ros.diagnose.model_fit import ModelFit
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure, shapes
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.model.recording import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import Effect, SensorModel

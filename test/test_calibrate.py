@@ -38,12 +38,12 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.diagnose.drift import blind_drift, heading_rms_deg
+from gyrocal_ros.diagnose.analysis.drift import blind_drift, heading_rms_deg
 from gyrocal_ros.diagnose.json_summary import summarise
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.errors import ConfigError, FilterDivergedError, NotObservableError, RecordingError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel

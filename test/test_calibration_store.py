@@ -10,7 +10,7 @@ import pytest
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.start import initial_state
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.pipeline.calibration import Calibration, calibration_of, load_calibration, save_calibration
 from gyrocal_ros.robot.calibration_store import CalibrationStore

@@ -12,16 +12,16 @@ from recordings import ModifiedSource, recording
 
 from gyrocal_ros.config.sections import Config, ConvergenceConfig
 from gyrocal_ros.data import Rig
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.camera_faults import time_fault
-from gyrocal_ros.ekf.camera_watch import GATE, PRIOR_STD, TIME, CameraWatch
-from gyrocal_ros.ekf.convergence import CONSISTENCY_STEPS, STEPS_AFTER_CHANGE, Convergence
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, State
-from gyrocal_ros.ekf.told_faults import told_fault
-from gyrocal_ros.ekf.update import UpdateStats
+from gyrocal_ros.ekf.equations.update import UpdateStats
+from gyrocal_ros.ekf.history.convergence import CONSISTENCY_STEPS, STEPS_AFTER_CHANGE, Convergence
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE, State
+from gyrocal_ros.ekf.state.start import initial_state
+from gyrocal_ros.ekf.watches.camera_faults import time_fault
+from gyrocal_ros.ekf.watches.camera_watch import GATE, PRIOR_STD, TIME, CameraWatch
+from gyrocal_ros.ekf.watches.told_faults import told_fault
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude

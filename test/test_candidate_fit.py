@@ -9,7 +9,7 @@ import pytest
 from synthetic import score_statistics_of
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidate_fit import (
+from gyrocal_ros.diagnose.analysis.candidate_fit import (
     LAGS,
     MAX_LEVERAGE,
     NOT_EXCITED,
@@ -18,7 +18,7 @@ from gyrocal_ros.diagnose.candidate_fit import (
     fit,
     preference,
 )
-from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.ekf.history.score_statistics import ScoreStatistics
 from gyrocal_ros.statistics import sigma_of
 
 BLOCKS, EACH = 30, 20

@@ -11,7 +11,7 @@ from contracts import SIGNAL, eventful_blocks
 from synthetic import RIG, readings, recording_of, score_statistics_of
 
 from gyrocal_ros.data import Array, MotionBlock, Mount
-from gyrocal_ros.diagnose.candidates import CandidateSet, ScanBank, candidates_for, columns_of
+from gyrocal_ros.diagnose.analysis.candidates import CandidateSet, ScanBank, candidates_for, columns_of
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bank, covariate_bias, covariate_effects

@@ -13,12 +13,12 @@ from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.config.sections import Config, WheelConfig
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf import image_update
-from gyrocal_ros.ekf.certain_way import at_certain_way, is_certain, without_way
+from gyrocal_ros.ekf.features.certain_way import at_certain_way, is_certain, without_way
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.state.layout import State
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.camera import mount_from_yaw
 from gyrocal_ros.model.features.base import PosedCamera, Prediction, posed_camera

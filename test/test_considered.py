@@ -10,19 +10,19 @@ from filter_states import some_state
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import with_effect
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.examined import with_effect
+from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.considered import (
+from gyrocal_ros.ekf.features.considered import (
     combinations_not_told,
     not_told_at_rest,
     stretch_by_values,
     with_considered,
     with_kept,
 )
-from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.history.run import History
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.state.layout import State
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario

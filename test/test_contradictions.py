@@ -12,8 +12,8 @@ from recordings import ModifiedSource, each, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Rig
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.contradictions import LastingContradictions
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.features.contradictions import LastingContradictions
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario
 

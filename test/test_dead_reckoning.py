@@ -26,10 +26,10 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import model_from_dict
-from gyrocal_ros.ekf.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
 from gyrocal_ros.ekf.motion import MotionBuffer
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER
+from gyrocal_ros.ekf.state.layout import BIAS, COEFFICIENTS_START, EULER
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.model.gyro import correct
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.robot.dead_reckoning import DeadReckoning

@@ -11,7 +11,7 @@ from recordings import recording
 from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.drift import (
+from gyrocal_ros.diagnose.analysis.drift import (
     SEEN_S,
     STRIDE_S,
     BlindDrift,
@@ -26,8 +26,8 @@ from gyrocal_ros.diagnose.drift import (
     turns,
 )
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import YAW, YAW_BIAS
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import YAW, YAW_BIAS
 from gyrocal_ros.pipeline.calibrate import calibrate
 
 

@@ -10,7 +10,11 @@ from recordings import recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.drift_suspicion import (
+from gyrocal_ros.ekf.features.track_noise import TURN_PX_BY_SLOW, TrackNoise
+from gyrocal_ros.ekf.history.scatter import scatter_of
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE
+from gyrocal_ros.ekf.state.start import initial_state
+from gyrocal_ros.ekf.watches.drift_suspicion import (
     CONFIRMED_RAD,
     DRIFT_MEMORY_S,
     DRIFT_STD,
@@ -21,11 +25,7 @@ from gyrocal_ros.ekf.drift_suspicion import (
     Ramp,
     suspected_drift,
 )
-from gyrocal_ros.ekf.scale_watch import COLUMNS, ScaleWatch
-from gyrocal_ros.ekf.scatter import scatter_of
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE
-from gyrocal_ros.ekf.track_noise import TURN_PX_BY_SLOW, TrackNoise
+from gyrocal_ros.ekf.watches.scale_watch import COLUMNS, ScaleWatch
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
 

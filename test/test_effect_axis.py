@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from gyrocal_ros.diagnose.effect_axis import curve_before_adding, effect_axis
-from gyrocal_ros.diagnose.error_curves import ErrorCurve
-from gyrocal_ros.diagnose.shapes import FORCE, HEADING, RATE, TEMPERATURE_C, TIME
+from gyrocal_ros.diagnose.analysis.shapes import FORCE, HEADING, RATE, TEMPERATURE_C, TIME
+from gyrocal_ros.diagnose.series.effect_axis import curve_before_adding, effect_axis
+from gyrocal_ros.diagnose.series.error_curves import ErrorCurve
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from studio_parts import HIDDEN, open_session
 
-from gyrocal_ros.diagnose.failure_ranges import MAX_STRETCHES, failure_ranges
-from gyrocal_ros.diagnose.regimes import Failure, regimes
-from gyrocal_ros.diagnose.shapes import RATE, TIME
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.diagnose.analysis.regimes import Failure, regimes
+from gyrocal_ros.diagnose.analysis.shapes import RATE, TIME
+from gyrocal_ros.diagnose.series.failure_ranges import MAX_STRETCHES, failure_ranges
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.studio import pictures
 from gyrocal_ros.studio.state import StudioState
 

@@ -11,9 +11,9 @@ from recordings import recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.feature_likelihoods import FeatureLikelihoodRecorder, given_others
-from gyrocal_ros.ekf.positive_definite import whitener
-from gyrocal_ros.ekf.update import MeasurementUpdate
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate
+from gyrocal_ros.ekf.history.feature_likelihoods import FeatureLikelihoodRecorder, given_others
+from gyrocal_ros.ekf.state.positive_definite import whitener
 from gyrocal_ros.pipeline.calibrate import calibrate
 
 COUNT = 5

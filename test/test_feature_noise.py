@@ -9,7 +9,7 @@ import pytest
 from filter_states import some_state
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.feature_noise import (
+from gyrocal_ros.ekf.features.feature_noise import (
     MAX_ERROR,
     MIN_FACTOR,
     PRIOR_OBSERVATIONS,
@@ -17,8 +17,8 @@ from gyrocal_ros.ekf.feature_noise import (
     learn_noise,
     own_noise,
 )
-from gyrocal_ros.ekf.judged import Judged
-from gyrocal_ros.ekf.state import State, unknown_noise
+from gyrocal_ros.ekf.features.judged import Judged
+from gyrocal_ros.ekf.state.layout import State, unknown_noise
 
 COUNT = 5
 ROWS = np.arange(COUNT)

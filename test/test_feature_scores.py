@@ -6,12 +6,12 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.candidate_fit import fit
+from gyrocal_ros.diagnose.analysis.candidate_fit import fit
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.ekf.feature_scores import FeatureScatterRecorder, FeatureScores, feature_scores
-from gyrocal_ros.ekf.positive_definite import whitener
-from gyrocal_ros.ekf.score_statistics import ScoreRecorder, ScoreStatistics
-from gyrocal_ros.ekf.update import UpdateStats
+from gyrocal_ros.ekf.equations.feature_scores import FeatureScatterRecorder, FeatureScores, feature_scores
+from gyrocal_ros.ekf.equations.update import UpdateStats
+from gyrocal_ros.ekf.history.score_statistics import ScoreRecorder, ScoreStatistics
+from gyrocal_ros.ekf.state.positive_definite import whitener
 
 FEATURES, IMAGES, STEP_NS = 40, 600, 1_000_000_000
 CAMERA = find_effect('focal_length')

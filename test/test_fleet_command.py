@@ -14,7 +14,7 @@ import pytest
 from gyrocal_ros.cli import fleet as command
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.model_file import model_to_dict
 from gyrocal_ros.fleet.examine import bags_to_examine

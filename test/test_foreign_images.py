@@ -13,10 +13,10 @@ from recordings import ModifiedSource, each
 from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample
-from gyrocal_ros.diagnose.search import search
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
+from gyrocal_ros.diagnose.search.search import search
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude

@@ -13,8 +13,8 @@ from gyrocal_ros.data import TruthSample, WheelSample
 from gyrocal_ros.effects import EFFECTS, find_effect
 from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.effects.turn_hysteresis import TurnHysteresis
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, SensorModel

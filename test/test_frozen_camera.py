@@ -11,9 +11,9 @@ from recordings import at, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Frame, ImuSample
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.frozen_camera import FROZEN
+from gyrocal_ros.ekf.features.frozen_camera import FROZEN
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
 

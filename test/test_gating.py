@@ -11,9 +11,9 @@ from filter_states import some_state
 from scipy.stats import chi2  # type: ignore[import-untyped]
 
 from gyrocal_ros.config.sections import FeatureConfig
-from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
-from gyrocal_ros.ekf.gating import MotionGate, inliers
-from gyrocal_ros.ekf.state import YAW
+from gyrocal_ros.ekf.features.gating import MotionGate, inliers
+from gyrocal_ros.ekf.noise.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.state.layout import YAW
 from gyrocal_ros.statistics import chi_square_quantile
 
 

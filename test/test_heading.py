@@ -14,11 +14,11 @@ from scipy.stats import t as student_t
 from gyrocal_ros.config.sections import GyroConfig, ReferenceConfig
 from gyrocal_ros.data import HeadingSample, nanoseconds
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.heading import HeadingReference
-from gyrocal_ros.ekf.reference_noise import JUMP_HEADINGS, JUMP_S, JumpDetector, JumpsWithTurns
-from gyrocal_ros.ekf.state import YAW, State
-from gyrocal_ros.ekf.update import MeasurementUpdate, heading_innovation, heading_update
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.heading import HeadingReference
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate, heading_innovation, heading_update
+from gyrocal_ros.ekf.noise.reference_noise import JUMP_HEADINGS, JUMP_S, JumpDetector, JumpsWithTurns
+from gyrocal_ros.ekf.state.layout import YAW, State
 
 CONFIG = replace(ReferenceConfig(), heading_noise_deg=0.5, heading_walk_deg=0.1, tail_dof=4.0)
 STD = math.radians(0.5)

@@ -15,12 +15,11 @@ from synthetic import DT_S, TOP_DEG_S, Drive, drive, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidate_fit import fit
-from gyrocal_ros.diagnose.drift import truth_path
-from gyrocal_ros.diagnose.heading_filter import heading_scores, headings, misfits
-from gyrocal_ros.diagnose.regimes import Failure, failures
-from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.shapes import (
+from gyrocal_ros.diagnose.analysis.candidate_fit import fit
+from gyrocal_ros.diagnose.analysis.drift import truth_path
+from gyrocal_ros.diagnose.analysis.heading_filter import heading_scores, headings, misfits
+from gyrocal_ros.diagnose.analysis.regimes import Failure, failures
+from gyrocal_ros.diagnose.analysis.shapes import (
     HEADING,
     JUMP_STEP_S,
     RATE,
@@ -33,11 +32,12 @@ from gyrocal_ros.diagnose.shapes import (
     turns_enough,
     unexplained_structure,
 )
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.learned.curve import Of
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S
-from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.score_statistics import BLOCK_S
+from gyrocal_ros.ekf.state.layout import YAW_BIAS
 from gyrocal_ros.pipeline.calibrate import calibrate
 
 SIGNAL = 'motor.current'

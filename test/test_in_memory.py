@@ -22,9 +22,9 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.step_record import StepRecord
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import MAX_IN_MEMORY_S, InMemorySource, preload

@@ -26,17 +26,17 @@ from gyrocal_ros.data import (
     changed,
     quickly_filled,
 )
-from gyrocal_ros.diagnose.heading_filter import INITIAL_BIAS_STD_RAD_S
-from gyrocal_ros.ekf.effects_by_place import MotionContribution
+from gyrocal_ros.diagnose.analysis.heading_filter import INITIAL_BIAS_STD_RAD_S
+from gyrocal_ros.ekf.equations.effects_by_place import MotionContribution
+from gyrocal_ros.ekf.equations.update import Innovation
+from gyrocal_ros.ekf.features.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
 from gyrocal_ros.ekf.intervals import PAUSE_NS
-from gyrocal_ros.ekf.normal_equations import NOTHING, normal_equations
-from gyrocal_ros.ekf.positive_definite import whitener
-from gyrocal_ros.ekf.process_noise import BlockNoise
-from gyrocal_ros.ekf.reference_noise import ReferenceNoise
-from gyrocal_ros.ekf.robust import CONVERGED, HUBER_BOUND, MAX_INFLATION, MAX_ITERATIONS
-from gyrocal_ros.ekf.state import State, no_landmarks
+from gyrocal_ros.ekf.noise.process_noise import BlockNoise
+from gyrocal_ros.ekf.noise.reference_noise import ReferenceNoise
+from gyrocal_ros.ekf.state.layout import State, no_landmarks
+from gyrocal_ros.ekf.state.normal_equations import NOTHING, normal_equations
+from gyrocal_ros.ekf.state.positive_definite import whitener
 from gyrocal_ros.ekf.stream import SlamStream  # noqa: F401  (marks all kernels)
-from gyrocal_ros.ekf.update import Innovation
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.faulty_readings import MIN_READINGS, UsualReadings
 from gyrocal_ros.model.features.base import Anchors, Prediction, posed_camera

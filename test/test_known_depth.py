@@ -11,11 +11,11 @@ from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.config.sections import Config, FeatureConfig
 from gyrocal_ros.data import Array, TruthSample
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.known_depth import TellingWay, directions_by_pose, relative_growth
-from gyrocal_ros.ekf.landmarks import with_shared_errors
-from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.features.known_depth import TellingWay, directions_by_pose, relative_growth
+from gyrocal_ros.ekf.features.landmarks import with_shared_errors
+from gyrocal_ros.ekf.history.run import History
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.camera import mount_from_yaw

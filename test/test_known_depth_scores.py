@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose_before_adding
-from gyrocal_ros.diagnose.examined import ExaminedModel, examine
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.known_depth import TellingWay, weighted_scores
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.update import UpdateStats
+from gyrocal_ros.ekf.features.known_depth import TellingWay, weighted_scores
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.stream import SlamStream
-from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario

@@ -9,8 +9,15 @@ import pytest
 from contracts import FEATURES, NOISE_PX, PIXELS, assert_positive_definite, view_at
 from filter_states import DIRECTIONS, INVERSE_DEPTH, C, K, block_diagonal, derivatives, some_state
 
-from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget_all, keep, mark_seen
-from gyrocal_ros.ekf.state import POSE, FeatureNoise, State
+from gyrocal_ros.ekf.features.landmarks import (
+    augment,
+    count_matches,
+    evict_oldest,
+    forget_all,
+    keep,
+    mark_seen,
+)
+from gyrocal_ros.ekf.state.layout import POSE, FeatureNoise, State
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Parametrisation
 

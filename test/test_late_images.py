@@ -11,11 +11,11 @@ from synthetic import readings, recording_of, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, FeatureObservations
+from gyrocal_ros.diagnose.analysis.late_images import late_images, turn_between
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.late_images import late_images, turn_between
-from gyrocal_ros.diagnose.recovery import first_run
-from gyrocal_ros.diagnose.search import search
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.search.recovery import first_run
+from gyrocal_ros.diagnose.search.search import search
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.model.recording import ImageTurns, RecordingSummary
 from gyrocal_ros.pipeline.calibrate import calibrate

@@ -9,11 +9,15 @@ import pytest
 from recordings import recording
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.examined import with_effect
-from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis.examined import with_effect
+from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.law_watch import (
+from gyrocal_ros.ekf.equations.update import UpdateStats
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE, State
+from gyrocal_ros.ekf.state.start import initial_state
+from gyrocal_ros.ekf.watches.law_watch import (
     BLOCK_S,
     CHANCE_SIGMA,
     LAWS,
@@ -23,11 +27,7 @@ from gyrocal_ros.ekf.law_watch import (
     SIGNIFICANT_SIGMA,
     LawWatch,
 )
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, State
-from gyrocal_ros.ekf.told_faults import told_fault
-from gyrocal_ros.ekf.update import UpdateStats
+from gyrocal_ros.ekf.watches.told_faults import told_fault
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude

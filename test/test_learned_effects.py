@@ -32,8 +32,8 @@ from gyrocal_ros.effects.learned.signals import CENTRIPETAL, UNITS, values_of
 from gyrocal_ros.effects.learned.wave import Sine, Wave, sine_of
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.registry import load_file
-from gyrocal_ros.ekf.predict import with_pose
-from gyrocal_ros.ekf.start import initial_state
+from gyrocal_ros.ekf.equations.predict import with_pose
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import Effect, GyroEffect, Memory, SensorModel

@@ -22,12 +22,14 @@ from gyrocal_ros.cli.learn import requested
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, ImuSample, MotionBlock, WheelSample
-from gyrocal_ros.diagnose import learning, rewriting, status
-from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, closed_forms, curve_by
-from gyrocal_ros.diagnose.drift import drift_of_both_deg
-from gyrocal_ros.diagnose.examined import ExaminedModel, examine
-from gyrocal_ros.diagnose.hypotheses import (
+from gyrocal_ros.diagnose import status
+from gyrocal_ros.diagnose.analysis.drift import drift_of_both_deg
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine
+from gyrocal_ros.diagnose.analysis.signal_ranges import signal_ranges
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
+from gyrocal_ros.diagnose.laws import learning, rewriting
+from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm, LearnedCurve, closed_forms, curve_by
+from gyrocal_ros.diagnose.laws.hypotheses import (
     AMPLITUDES,
     Law,
     RankedLaw,
@@ -36,13 +38,12 @@ from gyrocal_ros.diagnose.hypotheses import (
     laws,
     rank_laws,
 )
-from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
-from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
-from gyrocal_ros.diagnose.rewriting import _Slopes, closed_form, size_of
-from gyrocal_ros.diagnose.search import try_effect
-from gyrocal_ros.diagnose.signal_ranges import signal_ranges
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, summarise_laws
+from gyrocal_ros.diagnose.laws.learning import Learned, is_missing_something, learn
+from gyrocal_ros.diagnose.laws.rewriting import _Slopes, closed_form, size_of
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.improvement import improvement
+from gyrocal_ros.diagnose.search.search import try_effect
 from gyrocal_ros.effects import LEARNED_EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.learned import curve, formula, memory, wave
 from gyrocal_ros.effects.learned.as_effect import effect_source
@@ -55,8 +56,8 @@ from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS
 from gyrocal_ros.effects.learned.step import step
 from gyrocal_ros.effects.learned.wave import Sine, Wave
 from gyrocal_ros.effects.registry import load_file
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel

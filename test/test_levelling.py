@@ -10,8 +10,8 @@ import pytest
 from filter_states import some_state
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.ekf.levelling import Levelling, unlevelled
-from gyrocal_ros.ekf.state import EULER, State
+from gyrocal_ros.ekf.equations.levelling import Levelling, unlevelled
+from gyrocal_ros.ekf.state.layout import EULER, State
 
 GRAVITY_M_S2 = 9.80665
 DT_S, COUNT = 0.01, 10

@@ -11,19 +11,19 @@ from synthetic import DT_S, TOP_DEG_S, Drive, banded, drive, readings, readings_
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.examined import with_effect
-from gyrocal_ros.diagnose.limit_sizes import possible_sizes
-from gyrocal_ros.diagnose.limits import (
+from gyrocal_ros.diagnose.analysis.examined import with_effect
+from gyrocal_ros.diagnose.analysis.limits import (
     Competition,
     LimitProposal,
     detected_limits,
     propose_limits,
     proven_limits,
 )
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
+from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.search.limit_sizes import possible_sizes
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.rate_deadband import RateDeadband
 from gyrocal_ros.effects.rate_saturation import MIN_TOP_S, OUTLIERS, RateSaturation

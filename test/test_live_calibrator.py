@@ -24,7 +24,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import model_from_dict
-from gyrocal_ros.ekf.noise_bank import MUCH_WALK
+from gyrocal_ros.ekf.noise.noise_bank import MUCH_WALK
 from gyrocal_ros.files import shipped
 from gyrocal_ros.msgs import clouds, topics
 from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME, Role

@@ -22,8 +22,8 @@ from gyrocal_ros.data import (
     WheelSample,
     seconds,
 )
+from gyrocal_ros.ekf.history.step_record import StepRecord
 from gyrocal_ros.ekf.slam import Seen
-from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.pipeline.calibration import load_calibration, save_calibration
 from gyrocal_ros.robot.health import Level

@@ -12,10 +12,10 @@ from recordings import recording
 from gyrocal_ros.config.sections import Config, WheelConfig
 from gyrocal_ros.data import NS_PER_S, TruthSample, WheelSample
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.map import ceiling_map
-from gyrocal_ros.ekf.map_frame import point_covariances, pose_covariance
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import POSITION, YAW
+from gyrocal_ros.ekf.state.layout import POSITION, YAW
+from gyrocal_ros.ekf.state.map import ceiling_map
+from gyrocal_ros.ekf.state.map_frame import point_covariances, pose_covariance
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.rotation import rotation_from_euler
 

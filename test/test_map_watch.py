@@ -14,7 +14,8 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf import slam
-from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate
+from gyrocal_ros.ekf.history.run import RunEvent
 from gyrocal_ros.ekf.image_update import update_from_image
 from gyrocal_ros.ekf.map_watch import (
     LOST_IMAGES,
@@ -25,8 +26,7 @@ from gyrocal_ros.ekf.map_watch import (
     MapWatch,
     loses_its_map,
 )
-from gyrocal_ros.ekf.run import RunEvent
-from gyrocal_ros.ekf.update import MeasurementUpdate
+from gyrocal_ros.ekf.noise.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.errors import FilterDivergedError, IndefiniteCovarianceError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude

@@ -9,9 +9,9 @@ import pytest
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf import predict
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import EULER
+from gyrocal_ros.ekf.equations import predict
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import EULER
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.scenarios import find_scenario

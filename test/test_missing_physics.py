@@ -22,20 +22,20 @@ from gyrocal_ros.cli.diagnose import add_arguments, as_text, next_steps
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
-from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import CAUTION, advice
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit
+from gyrocal_ros.diagnose.analysis.shapes import RATE, UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
-from gyrocal_ros.diagnose.model_fit import ModelFit
-from gyrocal_ros.diagnose.search import search
-from gyrocal_ros.diagnose.shapes import RATE, UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.search import search
+from gyrocal_ros.diagnose.search.timing import TimingFault
 from gyrocal_ros.diagnose.status import diagnosis_status
-from gyrocal_ros.diagnose.summarise import summarise_recording
-from gyrocal_ros.diagnose.timing import TimingFault
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.model_file import load_model
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import json_text
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means

@@ -11,13 +11,19 @@ from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
-from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, held_out_from_s
-from gyrocal_ros.diagnose.model_fit import UNSEEN, ModelFit, count_gaps, drift_by_noise_deg, model_fit
+from gyrocal_ros.diagnose.analysis.drift import BlindDrift, blind_drift, held_out_from_s
+from gyrocal_ros.diagnose.analysis.model_fit import (
+    UNSEEN,
+    ModelFit,
+    count_gaps,
+    drift_by_noise_deg,
+    model_fit,
+)
 from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.run import Run, RunEvent
-from gyrocal_ros.ekf.scale_watch import ScaleChange
-from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.history.run import Run, RunEvent
+from gyrocal_ros.ekf.state.start import Start
+from gyrocal_ros.ekf.watches.scale_watch import ScaleChange
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -93,7 +99,7 @@ def test_the_drift_is_compared_with_what_noise_explains(monkeypatch: pytest.Monk
     run = simulated(())
     drift = blind_drift(run, from_s=held_out_from_s(run))
     assert model_fit(run).drift_ratio == pytest.approx(drift.rms_deg / drift_by_noise_deg(run, drift))
-    monkeypatch.setattr('gyrocal_ros.diagnose.model_fit.drift_by_noise_deg', lambda *_: 0.0)
+    monkeypatch.setattr('gyrocal_ros.diagnose.analysis.model_fit.drift_by_noise_deg', lambda *_: 0.0)
     assert math.isnan(model_fit(run).drift_ratio)
 
 

@@ -14,36 +14,38 @@ import pytest
 from gyrocal_ros.cli import improve
 from gyrocal_ros.config.declare import with_settings
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import RECORD, advice, twins_in_words
-from gyrocal_ros.diagnose.candidate_fit import Fit
-from gyrocal_ros.diagnose.comparison import Comparison, compare
+from gyrocal_ros.diagnose.analysis.candidate_fit import Fit
+from gyrocal_ros.diagnose.analysis.comparison import Comparison, compare
+from gyrocal_ros.diagnose.analysis.heading_filter import Headings
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit, model_fit
+from gyrocal_ros.diagnose.analysis.regimes import Failure
+from gyrocal_ros.diagnose.analysis.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
+from gyrocal_ros.diagnose.analysis.wander import MAX_MOMENTS, wander
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.error_curves import MAX_CURVES, centred, errors_by_signal
-from gyrocal_ros.diagnose.heading_filter import Headings
-from gyrocal_ros.diagnose.improvement import Improvement, improvement
 from gyrocal_ros.diagnose.json_summary import (
     summarise_comparison,
     summarise_diagnosis,
     summarise_improvement,
 )
-from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
-from gyrocal_ros.diagnose.model_series import (
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.improvement import Improvement, improvement
+from gyrocal_ros.diagnose.search.search import search
+from gyrocal_ros.diagnose.series.error_curves import MAX_CURVES, centred, errors_by_signal
+from gyrocal_ros.diagnose.series.model_series import (
     MAX_PLACES,
     coefficients,
     failures_by_model,
     slam_errors_deg,
 )
-from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.search import search
-from gyrocal_ros.diagnose.search_series import (
+from gyrocal_ros.diagnose.series.search_series import (
     candidate_rows,
     effect_curve,
     held_out_drifts,
     models_that_ran,
 )
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.shapes import RATE, TIME, Shape, UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.status import (
     SEE_LIMITS,
     TOO_SHORT,
@@ -52,8 +54,6 @@ from gyrocal_ros.diagnose.status import (
     diagnosis_status,
     missing_sentence,
 )
-from gyrocal_ros.diagnose.summarise import summarise_recording
-from gyrocal_ros.diagnose.wander import MAX_MOMENTS, wander
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.model.sensor import with_means
 from gyrocal_ros.pipeline.calibrate import calibrate

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gyrocal_ros.data import IntArray
-from gyrocal_ros.ekf.moving_features import MAX_DROPS, MovingFeatures
+from gyrocal_ros.ekf.features.moving_features import MAX_DROPS, MovingFeatures
 
 IDS = np.arange(10)
 NONE = np.empty(0, np.int64)

@@ -13,11 +13,11 @@ from recordings import recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.landmarks import augment
-from gyrocal_ros.ekf.near_features import DEPTH, NEAR_STD_1_M, with_near_features
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import State
-from gyrocal_ros.ekf.update import Innovation, innovate
+from gyrocal_ros.ekf.equations.update import Innovation, innovate
+from gyrocal_ros.ekf.features.landmarks import augment
+from gyrocal_ros.ekf.features.near_features import DEPTH, NEAR_STD_1_M, with_near_features
+from gyrocal_ros.ekf.state.layout import State
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude

@@ -15,23 +15,24 @@ from synthetic import readings, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock, Source
-from gyrocal_ros.diagnose import noise, noise_fit
-from gyrocal_ros.diagnose.additions import NONE, Addition, Search, addition
+from gyrocal_ros.diagnose import noise
+from gyrocal_ros.diagnose.analysis.drift import drift_of_both, drifts_more
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, with_effect
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording, white_noise
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.drift import drift_of_both, drifts_more
-from gyrocal_ros.diagnose.elimination import eliminate, without_harm
-from gyrocal_ros.diagnose.examined import ExaminedModel, examine, with_effect
-from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise, shown_noise
-from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
-from gyrocal_ros.diagnose.search import continued
+from gyrocal_ros.diagnose.search import noise_fit
+from gyrocal_ros.diagnose.search.additions import NONE, Addition, Search, addition
+from gyrocal_ros.diagnose.search.elimination import eliminate, without_harm
+from gyrocal_ros.diagnose.search.improvement import improvement
+from gyrocal_ros.diagnose.search.noise_fit import NoiseFit, fit_noises, with_noise
+from gyrocal_ros.diagnose.search.search import continued
 from gyrocal_ros.diagnose.status import ADD_NOISE, LAW_OR_NOISE, diagnosis_status, improvement_status
-from gyrocal_ros.diagnose.summarise import summarise_recording, white_noise
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.learned.memory import memory
 from gyrocal_ros.effects.learned.step import step
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroTerm, Memory, Place, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate

@@ -12,9 +12,9 @@ import pytest
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import changed
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.noise_bank import WALK, WHITE, NoiseBank
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import SCALE, YAW_BIAS, State
+from gyrocal_ros.ekf.noise.noise_bank import WALK, WHITE, NoiseBank
+from gyrocal_ros.ekf.state.layout import SCALE, YAW_BIAS, State
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.scenarios import find_scenario

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 from synthetic import drive
 
-from gyrocal_ros.diagnose import one_more
-from gyrocal_ros.diagnose.one_more import (
+from gyrocal_ros.diagnose.search import one_more
+from gyrocal_ros.diagnose.search.one_more import (
     KNOWN_PART,
     LEAST_PART,
     MAX_STEPS,
@@ -23,7 +23,7 @@ from gyrocal_ros.diagnose.one_more import (
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.traits import forms_of
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 

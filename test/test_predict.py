@@ -25,16 +25,16 @@ from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.rate_deadband import INSIDE_STD
-from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.predict import (
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.predict import (
     MISALIGNMENT_RAD,
     SLOW_TILT_RAD_S,
     FilterModel,
     predict,
     predict_sensitivity,
 )
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import BIAS, EULER, POSE, POSITION, YAW
+from gyrocal_ros.ekf.state.layout import BIAS, EULER, POSE, POSITION, YAW
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.kinematics import integrate
 from gyrocal_ros.model.rotation import rotation_from_euler

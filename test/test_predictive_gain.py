@@ -10,10 +10,10 @@ import pytest
 from synthetic import DT_S, drive
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.ekf.feature_likelihoods import FeatureLikelihoods
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S
+from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.ekf.history.feature_likelihoods import FeatureLikelihoods
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.score_statistics import BLOCK_S
 
 DURATION_S = 100.0
 

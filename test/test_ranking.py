@@ -10,9 +10,9 @@ import pytest
 from synthetic import score_statistics_of
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidate_fit import Fit, fit
-from gyrocal_ros.diagnose.profile import WIDEST, Profile, profile
-from gyrocal_ros.diagnose.ranking import (
+from gyrocal_ros.diagnose.analysis.candidate_fit import Fit, fit
+from gyrocal_ros.diagnose.analysis.profile import WIDEST, Profile, profile
+from gyrocal_ros.diagnose.analysis.ranking import (
     RankedEffect,
     best_explanation,
     estimate,
@@ -21,18 +21,18 @@ from gyrocal_ros.diagnose.ranking import (
     rank,
     with_estimate,
 )
-from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
-from gyrocal_ros.diagnose.uneven import (
+from gyrocal_ros.diagnose.search.uneven import (
     uneven_explanation,
     uneven_first_effect,
     uneven_gyro_effect,
     uneven_sign,
 )
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.bias_warmup import BiasWarmup
 from gyrocal_ros.effects.covariate import covariate_bias
 from gyrocal_ros.effects.scale_asymmetry import ScaleAsymmetry
-from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.ekf.history.score_statistics import ScoreStatistics
 from gyrocal_ros.model.sensor import Coefficient, with_means
 
 BLOCKS, EACH = 30, 20

@@ -7,7 +7,7 @@ import pytest
 from filter_states import DIRECTIONS, some_state
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.repeated_errors import RepeatedErrors, motion
+from gyrocal_ros.ekf.features.repeated_errors import RepeatedErrors, motion
 
 FOCAL_PX, NOISE_PX = 250.0, 0.1
 

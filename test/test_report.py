@@ -20,11 +20,11 @@ from gyrocal_ros.config.parameter_file import load_config
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import seconds
 from gyrocal_ros.diagnose.advice import RECORD
-from gyrocal_ros.diagnose.comparison import compare
-from gyrocal_ros.diagnose.drift import blind_drift, dead_reckoning, heading_error, held_out_from_s
+from gyrocal_ros.diagnose.analysis.comparison import compare
+from gyrocal_ros.diagnose.analysis.drift import blind_drift, dead_reckoning, heading_error, held_out_from_s
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit
 from gyrocal_ros.diagnose.json_summary import summarise
-from gyrocal_ros.diagnose.model_fit import ModelFit
-from gyrocal_ros.diagnose.run_series import (
+from gyrocal_ros.diagnose.series.run_series import (
     CONFIDENCE,
     MAX_WINDOWS,
     distances_m,
@@ -42,10 +42,10 @@ from gyrocal_ros.diagnose.status import (
 )
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.model_file import load_model, model_from_dict
-from gyrocal_ros.ekf.camera_faults import TILT
-from gyrocal_ros.ekf.map import ceiling_map
-from gyrocal_ros.ekf.run import Run, RunEvent
-from gyrocal_ros.ekf.state import EULER, YAW_BIAS, no_landmarks
+from gyrocal_ros.ekf.history.run import Run, RunEvent
+from gyrocal_ros.ekf.state.layout import EULER, YAW_BIAS, no_landmarks
+from gyrocal_ros.ekf.state.map import ceiling_map
+from gyrocal_ros.ekf.watches.camera_faults import TILT
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.rotation import rotation_from_euler

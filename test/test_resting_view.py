@@ -10,7 +10,7 @@ import pytest
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, FeatureObservations, IntArray, TruthSample
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.resting_view import MIN_SHIFTS, SHIFTED_IMAGES, RestingView
+from gyrocal_ros.ekf.features.resting_view import MIN_SHIFTS, SHIFTED_IMAGES, RestingView
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.camera import bearing, mount_from_yaw

@@ -10,10 +10,10 @@ from contracts import NOISE_PX, PIXELS, view_at
 from filter_states import INVERSE_DEPTH, some_state
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.judged import each_alone, leave_one_out
-from gyrocal_ros.ekf.robust import HUBER_BOUND, MIN_FEATURES, Consensus, Slip, consensus
-from gyrocal_ros.ekf.state import POSE, State
-from gyrocal_ros.ekf.update import Innovation, innovate
+from gyrocal_ros.ekf.equations.update import Innovation, innovate
+from gyrocal_ros.ekf.features.judged import each_alone, leave_one_out
+from gyrocal_ros.ekf.features.robust import HUBER_BOUND, MIN_FEATURES, Consensus, Slip, consensus
+from gyrocal_ros.ekf.state.layout import POSE, State
 
 ONES = np.ones(5)
 INTERVAL_S = 0.1

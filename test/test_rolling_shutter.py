@@ -12,8 +12,14 @@ from recordings import recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.effects_by_place import TURN_CHANGE_S, PoseMotion, as_exposed, pose_motion, sort_effects
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW
+from gyrocal_ros.ekf.equations.effects_by_place import (
+    TURN_CHANGE_S,
+    PoseMotion,
+    as_exposed,
+    pose_motion,
+    sort_effects,
+)
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.kinematics import integrate
 from gyrocal_ros.model.sensor import SensorModel, with_means

@@ -10,9 +10,16 @@ from contracts import eventful_block
 
 from gyrocal_ros.data import ClockStep, TruthSample, nanoseconds
 from gyrocal_ros.effects import find_effect
-from gyrocal_ros.ekf.run import BLOCK_ROWS, SCALARS, TRUTH_INTERVAL_NS, History, Recorder, step_by_step
-from gyrocal_ros.ekf.step_record import StepRecord
-from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate, UpdateStats
+from gyrocal_ros.ekf.history.run import (
+    BLOCK_ROWS,
+    SCALARS,
+    TRUTH_INTERVAL_NS,
+    History,
+    Recorder,
+    step_by_step,
+)
+from gyrocal_ros.ekf.history.step_record import StepRecord
 
 K = 2
 STATS = UpdateStats(nis=3.0, dof=2, log_determinant=1.5)

@@ -13,8 +13,17 @@ from recordings import ModifiedSource, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source, seconds
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.drift_suspicion import CHANCE_SIGMA, DRIFT_STD, RAMP_S, USUAL_DRIFT_STD, HeadingErrors
-from gyrocal_ros.ekf.scale_watch import (
+from gyrocal_ros.ekf.equations.update import UpdateStats
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, State
+from gyrocal_ros.ekf.state.start import Start, initial_state
+from gyrocal_ros.ekf.watches.drift_suspicion import (
+    CHANCE_SIGMA,
+    DRIFT_STD,
+    RAMP_S,
+    USUAL_DRIFT_STD,
+    HeadingErrors,
+)
+from gyrocal_ros.ekf.watches.scale_watch import (
     CHANGE_SIGMA,
     COLUMNS,
     LARGEST_WALK,
@@ -27,9 +36,6 @@ from gyrocal_ros.ekf.scale_watch import (
     WINDOWS_S,
     ScaleWatch,
 )
-from gyrocal_ros.ekf.start import Start, initial_state
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, State
-from gyrocal_ros.ekf.update import UpdateStats
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude
 from gyrocal_ros.sim.scenarios import find_scenario

@@ -9,13 +9,13 @@ import pytest
 from synthetic import drive
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf import scatter as scatter_module
-from gyrocal_ros.ekf.run import History
-from gyrocal_ros.ekf.scale_watch import SETTLE_S
-from gyrocal_ros.ekf.scatter import FORMING, MAX_INFLATION, STRETCH_S, TRACE, Scatter, traces
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE
+from gyrocal_ros.ekf.history import scatter as scatter_module
+from gyrocal_ros.ekf.history.run import History
+from gyrocal_ros.ekf.history.scatter import FORMING, MAX_INFLATION, STRETCH_S, TRACE, Scatter, traces
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE
+from gyrocal_ros.ekf.watches.scale_watch import SETTLE_S
 
 STEPS = 100
 

@@ -23,21 +23,21 @@ from synthetic import (
 )
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import CLEAR_SIGMA, NONE, Addition, addition
+from gyrocal_ros.diagnose.analysis.examined import examine, with_effect
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.elimination import eliminate
-from gyrocal_ros.diagnose.examined import examine, with_effect
-from gyrocal_ros.diagnose.improvement import improvement
-from gyrocal_ros.diagnose.look_alikes import look_alikes
-from gyrocal_ros.diagnose.model_fit import ModelFit
-from gyrocal_ros.diagnose.search import continued, search, try_effect
+from gyrocal_ros.diagnose.search.additions import CLEAR_SIGMA, NONE, Addition, addition
+from gyrocal_ros.diagnose.search.elimination import eliminate
+from gyrocal_ros.diagnose.search.improvement import improvement
+from gyrocal_ros.diagnose.search.look_alikes import look_alikes
+from gyrocal_ros.diagnose.search.search import continued, search, try_effect
+from gyrocal_ros.diagnose.search.traces import traces
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.traces import traces
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.traits import has_impossible_sign, is_bias_walk, is_limit, may_break_the_filter
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.score_statistics import BLOCK_S, ScoreStatistics
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
@@ -200,9 +200,13 @@ class TestSearch:
         self, rise: float, expected: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """However much better it predicts; where no drift can be measured, it cannot rise."""
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both', lambda *runs: drifts(1.0, rise))
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: expected)
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -2.0)
+        monkeypatch.setattr(
+            'gyrocal_ros.diagnose.search.additions.drift_of_both', lambda *runs: drifts(1.0, rise)
+        )
+        monkeypatch.setattr(
+            'gyrocal_ros.diagnose.search.additions.drift_by_noise_deg', lambda *runs: expected
+        )
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.better_sigma', lambda *drifts: -2.0)
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}))
         (added,) = found.additions
         assert added.is_kept == is_kept and added.raises_drift != is_kept
@@ -213,9 +217,11 @@ class TestSearch:
         self, rose_sigma: float, gained: float, is_kept: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """Of two effects, each may make up for the other in the few spans of a recording."""
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both', lambda *runs: drifts(0.7, 2.3))
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.1)
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -rose_sigma)
+        monkeypatch.setattr(
+            'gyrocal_ros.diagnose.search.additions.drift_of_both', lambda *runs: drifts(0.7, 2.3)
+        )
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.drift_by_noise_deg', lambda *runs: 0.1)
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.better_sigma', lambda *drifts: -rose_sigma)
         found = search(default_model(), AT_REST, FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': gained}))
         assert found.additions[0].gain_sigma > CLEAR_SIGMA
         assert found.additions[0].is_kept == is_kept
@@ -228,7 +234,7 @@ class TestSearch:
             SimpleNamespace(run=SimpleNamespace(by_noise_deg=deg), settings=DEFAULT_SETTINGS)
             for deg in (0.3, 5.0)
         )
-        module = 'gyrocal_ros.diagnose.additions'
+        module = 'gyrocal_ros.diagnose.search.additions'
         monkeypatch.setattr(f'{module}.drift_of_both', lambda *runs: drifts(0.5, 3.4))
         monkeypatch.setattr(f'{module}.drift_by_noise_deg', lambda run, drift: run.by_noise_deg)
         monkeypatch.setattr(f'{module}.better_sigma', lambda *drifts: math.nan)
@@ -247,9 +253,9 @@ class TestSearch:
         def measured(before: Run, after: Run, from_s: float) -> Any:
             return drifts(math.nan, math.nan) if from_s > 0.5 * DURATION_S else drifts(1.0, 9.0)
 
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_of_both', measured)
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.5)
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.better_sigma', lambda *drifts: -2.0)
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.drift_of_both', measured)
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.drift_by_noise_deg', lambda *runs: 0.5)
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.better_sigma', lambda *drifts: -2.0)
         fake = FakeFilter({'gyro_lag': 2.0}, {'gyro_lag': 400.0}, known_from_s=known_s)
         (added,) = search(default_model(), AT_REST, fake).additions
         assert added.known_from_s == pytest.approx(known_s, abs=1.0) and added.is_kept == is_kept
@@ -304,9 +310,9 @@ class TestSearch:
     ) -> None:
         """A bias by vibration is as large as the floor is rough, however small its coefficient is."""
         monkeypatch.setattr(
-            'gyrocal_ros.diagnose.additions.drift_of_both', lambda *runs: drifts(0.6, left_deg)
+            'gyrocal_ros.diagnose.search.additions.drift_of_both', lambda *runs: drifts(0.6, left_deg)
         )
-        monkeypatch.setattr('gyrocal_ros.diagnose.additions.drift_by_noise_deg', lambda *runs: 0.1)
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.drift_by_noise_deg', lambda *runs: 0.1)
         (usual,) = find_effect('gyro_lag').coefficients
         assert usual.typical is not None
         strict = replace(DEFAULT_SETTINGS, min_usual_part=1.1 * 2.0 / usual.typical.low)
@@ -592,7 +598,7 @@ class TestSearch:
     def test_an_effect_that_leaves_only_noise_is_added_whatever_structure_is_left(
         self, fit: ModelFit, is_added: bool, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr('gyrocal_ros.diagnose.search.model_fit', lambda run: fit)
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.search.model_fit', lambda run: fit)
         fake = FakeFilter({'gyro_lag': 0.8}, {'gyro_lag': 40.0}, knocked())
         found = search(default_model(), AT_REST, fake)
         assert found.first.unexplained_structure is not None

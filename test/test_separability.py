@@ -16,7 +16,8 @@ from gyrocal_ros.bench import separability as bench
 from gyrocal_ros.bench.separability import Figures, Lost, figures
 from gyrocal_ros.cli.output import print_row
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.examined import examine
+from gyrocal_ros.diagnose.analysis.examined import examine
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.separability import (
     MIN_SEPARATION,
     best_drive,
@@ -25,7 +26,6 @@ from gyrocal_ros.diagnose.separability import (
     kind_of,
     table,
 )
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.traits import is_noise
 from gyrocal_ros.errors import ConfigError

@@ -10,22 +10,22 @@ from synthetic import score_statistics_of
 from test_learning import recording, runner
 from test_ranking import ONES, independent
 
-from gyrocal_ros.diagnose import several
-from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import advice
+from gyrocal_ros.diagnose.analysis.examined import MOST_REMEMBERED, examine, remembered
+from gyrocal_ros.diagnose.analysis.ranking import best_together, rank
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.examined import MOST_REMEMBERED, examine, remembered
-from gyrocal_ros.diagnose.improvement import improvement
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.ranking import best_together, rank
-from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.search import several
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.improvement import improvement
+from gyrocal_ros.diagnose.search.search import search
+from gyrocal_ros.diagnose.search.several import explained_by_several
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS as SETTINGS
-from gyrocal_ros.diagnose.several import explained_by_several
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.covariate import covariate_bias
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.sim.hidden import DrawnEffect
 

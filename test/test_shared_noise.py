@@ -15,8 +15,8 @@ from recordings import ModifiedSource, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, HeadingSample, ImuSample, Measurement, MotionBlock
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.heading import CONTAINS_GYRO
-from gyrocal_ros.ekf.shared_noise import SharedNoise
+from gyrocal_ros.ekf.equations.heading import CONTAINS_GYRO
+from gyrocal_ros.ekf.noise.shared_noise import SharedNoise
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 

@@ -12,10 +12,10 @@ from filter_states import some_state
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.landmarks import forget
+from gyrocal_ros.ekf.features.landmarks import forget
+from gyrocal_ros.ekf.features.sliding import MAX_SURPRISE, SlidingPoints
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.sliding import MAX_SURPRISE, SlidingPoints
-from gyrocal_ros.ekf.state import State
+from gyrocal_ros.ekf.state.layout import State
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.sim.scenarios import find_scenario

@@ -11,12 +11,12 @@ import pytest
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, FeatureObservations, ImuSample, Measurement, WheelSample
-from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate
+from gyrocal_ros.ekf.features.robust import LIFT_RATE, SLIP_RATE, Slip
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.map_watch import GOES_ON_S, LIFTED, LIFTED_IMAGES, SLIPS, SlipWatch
-from gyrocal_ros.ekf.robust import LIFT_RATE, SLIP_RATE, Slip
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.update import MeasurementUpdate
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.in_memory import InMemorySource

@@ -13,9 +13,7 @@ from recordings import ModifiedSource, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Measurement
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.positive_definite import whitener
-from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.slow_errors import (
+from gyrocal_ros.ekf.features.slow_errors import (
     LEAST_PX,
     MAX_MOTION_PX,
     MOST_PX,
@@ -23,6 +21,8 @@ from gyrocal_ros.ekf.slow_errors import (
     differences,
     with_slow_errors,
 )
+from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.state.positive_definite import whitener
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.sim.sensors import SensorErrors
 

@@ -11,15 +11,14 @@ from recordings import Modification, ModifiedSource, recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Measurement, nanoseconds
-from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.search.additions import Search
 from gyrocal_ros.diagnose.status import diagnosis_status
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.positive_definite import whitener
-from gyrocal_ros.ekf.stamp_noise import (
+from gyrocal_ros.ekf.noise.stamp_noise import (
     MAX_STD_S,
     PRIOR_STD_S,
     PRIOR_WEIGHT,
@@ -29,6 +28,7 @@ from gyrocal_ros.ekf.stamp_noise import (
     stamp_error,
     with_stamp_noise,
 )
+from gyrocal_ros.ekf.state.positive_definite import whitener
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect

@@ -10,9 +10,10 @@ import pytest
 from filter_states import MODEL, some_state
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.ekf.landmarks import forget_all
-from gyrocal_ros.ekf.start import Start, aged, inflate_after_gap, initial_state, restarted_at, warmed
-from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, POSE, YAW, YAW_BIAS, State
+from gyrocal_ros.ekf.features.landmarks import forget_all
+from gyrocal_ros.ekf.state.layout import BIAS, COEFFICIENTS_START, POSE, YAW, YAW_BIAS, State
+from gyrocal_ros.ekf.state.pauses import inflate_after_gap, restarted_at
+from gyrocal_ros.ekf.state.start import Start, aged, initial_state, warmed
 
 
 def test_a_run_starts_from_its_priors() -> None:

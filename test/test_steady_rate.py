@@ -12,9 +12,9 @@ from contracts import eventful_block
 from gyrocal_ros.config.sections import Config, GyroConfig
 from gyrocal_ros.data import MotionBlock
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.ekf.steady_rate import SteadyRate
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.steady_rate import SteadyRate
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario

@@ -25,10 +25,10 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.ekf.history.step_record import StepRecord
 from gyrocal_ros.ekf.motion import WHEEL_TIMEOUT_NS
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION, YAW
-from gyrocal_ros.ekf.step_record import StepRecord
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, POSITION, YAW
 from gyrocal_ros.ekf.stream import MAX_BLOCK_NS, SlamStream, Synchroniser
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel

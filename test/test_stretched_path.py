@@ -13,11 +13,11 @@ from synthetic import score_statistics_of
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, Measurement, TruthSample, WheelSample
+from gyrocal_ros.diagnose.analysis.ranking import rank, without_disturbed
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.ranking import rank, without_disturbed
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.library import DISTURBANCES, SHIPPED
 from gyrocal_ros.effects.stretched_path import StretchedPath

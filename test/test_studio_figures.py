@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from studio_parts import HIDDEN, InProcessWorker, open_session
 
-from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.history.run import History
 from gyrocal_ros.studio import pictures
 from gyrocal_ros.studio.revisions import ModelTree
 from gyrocal_ros.studio.session import Session

@@ -19,8 +19,8 @@ from gyrocal_ros.data import (
     WheelSample,
     nanoseconds,
 )
-from gyrocal_ros.diagnose.candidates import candidates_for
-from gyrocal_ros.diagnose.summarise import MAX_SIGNALS, coarse_step, summarise_recording
+from gyrocal_ros.diagnose.analysis.candidates import candidates_for
+from gyrocal_ros.diagnose.analysis.summarise import MAX_SIGNALS, coarse_step, summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.model.recording import SPEED_SIGNAL, TEMPERATURE
 from gyrocal_ros.pipeline.in_memory import InMemorySource

@@ -9,9 +9,9 @@ import pytest
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.drives import TEST_DRIVES

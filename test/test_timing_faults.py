@@ -10,20 +10,20 @@ import pytest
 from synthetic import drive, turning_rad_s
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import ExaminedModel, with_effect
-from gyrocal_ros.diagnose.heading_filter import headings
-from gyrocal_ros.diagnose.ranking import rank
-from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.shapes import RATE, ErrorShape, UnexplainedStructure
-from gyrocal_ros.diagnose.timing import (
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, with_effect
+from gyrocal_ros.diagnose.analysis.heading_filter import headings
+from gyrocal_ros.diagnose.analysis.ranking import rank
+from gyrocal_ros.diagnose.analysis.shapes import RATE, ErrorShape, UnexplainedStructure
+from gyrocal_ros.diagnose.search.timing import (
     CHANGES_NIS_RATIO,
     JITTERS_NIS_RATIO,
     TURNING_RAD_S,
     TimingFault,
     timing_fault,
 )
+from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.score_statistics import BLOCK_S, ScoreStatistics
+from gyrocal_ros.ekf.history.score_statistics import BLOCK_S, ScoreStatistics
 
 DURATION_S, INFORMATION = 200.0, 1e8
 BLOCKS = round(DURATION_S / BLOCK_S)

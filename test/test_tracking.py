@@ -24,7 +24,7 @@ from gyrocal_ros.data import (
 )
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.msgs.topics import BODY_FRAME, CAMERA_FRAME, IMU_FRAME
 from gyrocal_ros.msgs.transforms import IDENTITY, Transform

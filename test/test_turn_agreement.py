@@ -11,10 +11,10 @@ from recordings import ModifiedSource, recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, ImuSample, Measurement
-from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.ekf.turn_agreement import TurnAgreement, mounting_fault
+from gyrocal_ros.ekf.history.turn_agreement import TurnAgreement, mounting_fault
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError, NotObservableError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude

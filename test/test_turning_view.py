@@ -10,8 +10,8 @@ from recordings import ModifiedSource, each, recording
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, seconds
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
-from gyrocal_ros.ekf.turning_view import STAYS_PX, TURNS_WITH_CAMERA, turn_with_camera
+from gyrocal_ros.ekf.features.turning_view import STAYS_PX, TURNS_WITH_CAMERA, turn_with_camera
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.features.base import Anchors, PosedCamera
 from gyrocal_ros.pipeline.calibrate import calibrate

@@ -14,17 +14,17 @@ import pytest
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose import unknown_law
-from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.analysis.examined import unusual_noises, with_effect
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.examined import unusual_noises, with_effect
-from gyrocal_ros.diagnose.learning import MIN_GAIN
+from gyrocal_ros.diagnose.laws.learning import MIN_GAIN
 from gyrocal_ros.diagnose.noise import find_missing
+from gyrocal_ros.diagnose.search.additions import Search
 from gyrocal_ros.diagnose.status import diagnosis_status
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload

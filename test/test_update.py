@@ -23,10 +23,7 @@ from filter_states import (
 
 from gyrocal_ros.config.sections import Config, GyroConfig, WheelConfig
 from gyrocal_ros.data import Array, IntArray, MotionBlock
-from gyrocal_ros.ekf.judged import mahalanobis
-from gyrocal_ros.ekf.start import initial_state
-from gyrocal_ros.ekf.state import BIAS, EULER, POSE, YAW, State
-from gyrocal_ros.ekf.update import (
+from gyrocal_ros.ekf.equations.update import (
     Innovation,
     UpdateStats,
     heading_innovation,
@@ -36,6 +33,9 @@ from gyrocal_ros.ekf.update import (
     update,
     zero_rate_update,
 )
+from gyrocal_ros.ekf.features.judged import mahalanobis
+from gyrocal_ros.ekf.state.layout import BIAS, EULER, POSE, YAW, State
+from gyrocal_ros.ekf.state.start import initial_state
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import Parametrisation

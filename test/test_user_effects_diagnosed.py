@@ -25,19 +25,19 @@ from test_own_effects import blocks_of_the_guide
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ImuSample, Measurement, Source
-from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.candidates import candidates_for
+from gyrocal_ros.diagnose.analysis.candidates import candidates_for
+from gyrocal_ros.diagnose.analysis.limits import Competition, propose_limits
+from gyrocal_ros.diagnose.analysis.ranking import estimate, estimate_stds
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.limits import Competition, propose_limits
-from gyrocal_ros.diagnose.ranking import estimate, estimate_stds
-from gyrocal_ros.diagnose.search import search
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.search import search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
 from gyrocal_ros.effects.base import LibraryEffect
 from gyrocal_ros.effects.registry import load_file
 from gyrocal_ros.effects.traits import why_unobservable
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, ScannedColumns, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate

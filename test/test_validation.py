@@ -9,8 +9,8 @@ import pytest
 from studio_parts import HIDDEN, SIZE, open_session
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.drift import reference_heading
-from gyrocal_ros.diagnose.validation import coefficient_pairs, validate
+from gyrocal_ros.diagnose.analysis.drift import reference_heading
+from gyrocal_ros.diagnose.analysis.validation import coefficient_pairs, validate
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.studio import panels

@@ -17,14 +17,14 @@ from recordings import ModifiedSource, each, recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import FeatureObservations, Mount, WheelSample
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import MissingEffect, diagnose
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import MEND_YAW, Status, diagnosis_status, improvement_status
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.turn_agreement import mounting_fault
-from gyrocal_ros.ekf.way_agreement import TURNED_CAMERA, WRONG_YAW, WayAgreement, turned_camera
+from gyrocal_ros.ekf.features.way_agreement import TURNED_CAMERA, WRONG_YAW, WayAgreement, turned_camera
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.turn_agreement import mounting_fault
 from gyrocal_ros.model.camera import project_with_jacobian
 from gyrocal_ros.model.rotation import rotation_from_euler
 from gyrocal_ros.model.sensor import Effect, SensorModel

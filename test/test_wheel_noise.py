@@ -12,9 +12,9 @@ from contracts import eventful_block
 from gyrocal_ros.config.sections import Config, WheelConfig
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects import default_model
+from gyrocal_ros.ekf.noise.wheel_noise import PositionScore, WheelNoise
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.stream import SlamStream
-from gyrocal_ros.ekf.wheel_noise import PositionScore, WheelNoise
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

@@ -13,14 +13,14 @@ from recordings import recording
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, WheelSample
-from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.candidate_fit import correlation
+from gyrocal_ros.diagnose.analysis.candidate_fit import correlation
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.examined import ExaminedModel, examine
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.search.additions import Search
 from gyrocal_ros.effects import default_model, find_effect
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, POSITION
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect

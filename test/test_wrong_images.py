@@ -13,9 +13,9 @@ from gyrocal_ros.bench.faults.semantic import FAULTS, Moment, faulty
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, seconds
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.calibration_watch import MOST_CHANGE
-from gyrocal_ros.ekf.scale_watch import ScaleChange, ScaleWatch
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
+from gyrocal_ros.ekf.watches.calibration_watch import MOST_CHANGE
+from gyrocal_ros.ekf.watches.scale_watch import ScaleChange, ScaleWatch
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.sim.world import SimSource

@@ -17,12 +17,12 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, Measurement, MotionBlock, Rig, changed
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.predict import FilterModel, predict
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.predict import FilterModel, predict
+from gyrocal_ros.ekf.equations.steady_rate import SteadyRate
+from gyrocal_ros.ekf.history.step_record import StepRecord
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, State, no_landmarks
-from gyrocal_ros.ekf.steady_rate import SteadyRate
-from gyrocal_ros.ekf.step_record import StepRecord
+from gyrocal_ros.ekf.state.layout import BIAS, COEFFICIENTS_START, EULER, POSE, State, no_landmarks
 from gyrocal_ros.ekf.stream import SlamStream
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.features import PARAMETRISATIONS

@@ -9,11 +9,11 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.drift import heading_rms_deg
+from gyrocal_ros.diagnose.analysis.drift import heading_rms_deg
 from gyrocal_ros.effects import SCALE_FACTOR, default_model
 from gyrocal_ros.effects.scale import scale_power
-from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.sensor import SensorModel

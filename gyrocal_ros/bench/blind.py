@@ -18,18 +18,18 @@ from gyrocal_ros.bench.blind_cases import Case, cases
 from gyrocal_ros.bench.eyes import StoredImages, model_of
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.analysis.drift import blind_drift
+from gyrocal_ros.diagnose.analysis.examined import remembered, with_effect
+from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.drift import blind_drift
-from gyrocal_ros.diagnose.examined import remembered, with_effect
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.search.additions import Search
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.traits import scanned_coefficient
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate

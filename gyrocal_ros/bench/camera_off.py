@@ -11,10 +11,10 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.drift import Trajectory2D, dead_reckoning, slam_path
+from gyrocal_ros.diagnose.analysis.drift import Trajectory2D, dead_reckoning, slam_path
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import YAW_BIAS
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario
 from gyrocal_ros.sim.world import START_NS, SimSource

@@ -14,10 +14,10 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import first_seeds, in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, FeatureObservations, Frame, Measurement, Rig, Source, Span
-from gyrocal_ros.diagnose.drift import heading_rms_deg
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.drift import heading_rms_deg
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import EFFECTS, default_model
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.images import after_jpeg

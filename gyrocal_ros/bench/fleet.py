@@ -24,8 +24,8 @@ from gyrocal_ros.bench.fleet_engine import engine
 from gyrocal_ros.bench.fleet_prior import priors
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.candidates import candidates_for
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.analysis.candidates import candidates_for
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.effects import SCALE_FACTOR, default_model
 from gyrocal_ros.effects.model_file import model_to_dict
 from gyrocal_ros.fleet.findings import AGE, find

@@ -15,12 +15,12 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.examined import with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.effects import EFFECTS, SCALE_FACTOR, default_model, find_effect
 from gyrocal_ros.effects.model_file import model_to_dict
 from gyrocal_ros.effects.traits import scanned_coefficient
-from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.fleet.findings import find
 from gyrocal_ros.fleet.plan import PlannedBag
 from gyrocal_ros.fleet.prior import prior_of

@@ -22,9 +22,9 @@ from gyrocal_ros.bench.camera_off import rotations
 from gyrocal_ros.bench.paper.experiment import Mapper
 from gyrocal_ros.bench.paper.landmark import NOISE_PX, landmark_errors_cm
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.examined import examine
-from gyrocal_ros.diagnose.ranking import estimate
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.analysis.examined import examine
+from gyrocal_ros.diagnose.analysis.ranking import estimate
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S, scale_power
 from gyrocal_ros.model.features import PARAMETRISATIONS

@@ -22,9 +22,9 @@ from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.bench.reference_bound import Bound, reference_bound
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, ImuSample
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import placed

@@ -1,7 +1,7 @@
 """Information of each test drive on each effect, and the correlations of effects, by simulation.
 
 One run of the filter over a simulated drive, with every effect as a candidate, gives Lambda, the information
-on all of them at once (`ekf.score_statistics`). All figures follow from it.
+on all of them at once (`ekf.history.score_statistics`). All figures follow from it.
 """
 
 from __future__ import annotations
@@ -17,15 +17,15 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, IntArray, MotionBlock
-from gyrocal_ros.diagnose.candidate_fit import correlation
-from gyrocal_ros.diagnose.candidates import Candidate, CandidateSet, candidates_for, columns_of
+from gyrocal_ros.diagnose.analysis.candidate_fit import correlation
+from gyrocal_ros.diagnose.analysis.candidates import Candidate, CandidateSet, candidates_for, columns_of
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.separability import MAX_UNLISTED_CORRELATION, kind_of
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import COVARIATE_EFFECTS, EFFECTS, SCALE_FACTOR
 from gyrocal_ros.effects.base import LinearGyroEffect, column
 from gyrocal_ros.effects.traits import is_limit, scanned_coefficient
-from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.ekf.history.score_statistics import ScoreStatistics
 from gyrocal_ros.model.bias import BiasModel
 from gyrocal_ros.model.recording import Signal
 from gyrocal_ros.model.sensor import Coefficient, Effect, GyroEffectOnReadings, SensorModel

@@ -13,13 +13,13 @@ import numpy as np
 
 from gyrocal_ros.bench.accuracy import first_seeds, in_parallel
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.diagnose.drift import blind_drift
-from gyrocal_ros.diagnose.examined import remembered
-from gyrocal_ros.diagnose.learning import learn
+from gyrocal_ros.diagnose.analysis.drift import blind_drift
+from gyrocal_ros.diagnose.analysis.examined import remembered
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
+from gyrocal_ros.diagnose.laws.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate

@@ -14,7 +14,7 @@ from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_opti
 from gyrocal_ros.cli.output import print_message, progress
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.msgs.issues import worst_per_kind

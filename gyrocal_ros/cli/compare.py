@@ -16,11 +16,11 @@ from gyrocal_ros.cli.bag_runs import BagRuns, add_run_options, open_bag_runs, re
 from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_own_effects_option, load_own_effects
 from gyrocal_ros.cli.output import print_json, table
-from gyrocal_ros.diagnose.comparison import Comparison, ModelResult, compare
-from gyrocal_ros.diagnose.drift import REFERENCES
+from gyrocal_ros.diagnose.analysis.comparison import Comparison, ModelResult, compare
+from gyrocal_ros.diagnose.analysis.drift import REFERENCES
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_comparison
 from gyrocal_ros.effects.model_file import load_model
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibration import conclude

@@ -18,13 +18,13 @@ from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.diagnose.advice import advice, grouped, join, twins_in_words
+from gyrocal_ros.diagnose.analysis.drift import REFERENCES
+from gyrocal_ros.diagnose.analysis.examined import remembered
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis, MissingEffect, diagnose
-from gyrocal_ros.diagnose.drift import REFERENCES
-from gyrocal_ros.diagnose.examined import remembered
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.diagnose.status import LAW_OR_NOISE, MEND_YAW, diagnosis_status
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.model.sensor import Effect

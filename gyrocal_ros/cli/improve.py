@@ -20,20 +20,20 @@ from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
-from gyrocal_ros.diagnose.drift import REFERENCES
-from gyrocal_ros.diagnose.elimination import without_harm
-from gyrocal_ros.diagnose.examined import Calibrate, remembered
-from gyrocal_ros.diagnose.improvement import Improvement, Revision, improvement
+from gyrocal_ros.diagnose.analysis.drift import REFERENCES
+from gyrocal_ros.diagnose.analysis.examined import Calibrate, remembered
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
-from gyrocal_ros.diagnose.learning import learn
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, summarise_laws
+from gyrocal_ros.diagnose.laws.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.search import try_effect
+from gyrocal_ros.diagnose.search.elimination import without_harm
+from gyrocal_ros.diagnose.search.improvement import Improvement, Revision, improvement
+from gyrocal_ros.diagnose.search.search import try_effect
 from gyrocal_ros.diagnose.status import improvement_status, missing_sentence
-from gyrocal_ros.diagnose.summarise import summarise_recording
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects import EFFECTS, find_effect
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibration import conclude

@@ -20,17 +20,17 @@ from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.improve import announced, as_text, files_as_text, laws_as_text
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
-from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.examined import examine, remembered
-from gyrocal_ros.diagnose.hypotheses import law_names
-from gyrocal_ros.diagnose.improvement import improvement
+from gyrocal_ros.diagnose.analysis.examined import examine, remembered
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.json_summary import summarise_improvement
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw, summarise_laws
-from gyrocal_ros.diagnose.learning import Learned, is_missing_something, learn
+from gyrocal_ros.diagnose.laws.hypotheses import law_names
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, summarise_laws
+from gyrocal_ros.diagnose.laws.learning import Learned, is_missing_something, learn
+from gyrocal_ros.diagnose.laws.rewriting import closed_form
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.rewriting import closed_form
-from gyrocal_ros.diagnose.summarise import summarise_recording
-from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.improvement import improvement
+from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import write_text_atomic

@@ -27,8 +27,8 @@ from gyrocal_ros.diagnose.json_summary import summarise
 from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.effects.traits import followers_by_signal
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel

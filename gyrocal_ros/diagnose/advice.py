@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
+from gyrocal_ros.diagnose.analysis.shapes import TEMPERATURE_C, TIME, UnexplainedStructure
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
 from gyrocal_ros.diagnose.separability import drive_for, how_to_tell_apart
-from gyrocal_ros.diagnose.shapes import TEMPERATURE_C, TIME, UnexplainedStructure
 from gyrocal_ros.effects.traits import NOT_RECORDED
 from gyrocal_ros.model.sensor import Effect
 

@@ -8,30 +8,30 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import NONE, Addition, Search
-from gyrocal_ros.diagnose.drift import (
+from gyrocal_ros.diagnose.analysis.drift import (
     BlindDrift,
     blind_drift,
     drifts_more,
     held_out_from_s,
     reference_heading,
 )
-from gyrocal_ros.diagnose.examined import ExaminedModel
-from gyrocal_ros.diagnose.limits import proven_limits
-from gyrocal_ros.diagnose.look_alikes import look_alikes
-from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
-from gyrocal_ros.diagnose.ranking import (
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel
+from gyrocal_ros.diagnose.analysis.limits import proven_limits
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit, model_fit
+from gyrocal_ros.diagnose.analysis.ranking import (
     RankedEffect,
     estimate,
     estimate_stds,
     indistinguishable,
 )
-from gyrocal_ros.diagnose.regimes import Failure, failures
+from gyrocal_ros.diagnose.analysis.regimes import Failure, failures
+from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure, turns_enough
+from gyrocal_ros.diagnose.analysis.summarise import coarse_step
+from gyrocal_ros.diagnose.search.additions import NONE, Addition, Search
+from gyrocal_ros.diagnose.search.look_alikes import look_alikes
+from gyrocal_ros.diagnose.search.timing import TimingFault, stamp_jitter, timing_fault
+from gyrocal_ros.diagnose.search.uneven import uneven_sign
 from gyrocal_ros.diagnose.settings import DiagnosisSettings
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure, turns_enough
-from gyrocal_ros.diagnose.summarise import coarse_step
-from gyrocal_ros.diagnose.timing import TimingFault, stamp_jitter, timing_fault
-from gyrocal_ros.diagnose.uneven import uneven_sign
 from gyrocal_ros.diagnose.unknown_law import structure_of
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import (
@@ -41,7 +41,7 @@ from gyrocal_ros.effects.traits import (
     shows_in_any_turns,
     why_unobservable,
 )
-from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
+from gyrocal_ros.ekf.history.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 

@@ -8,16 +8,17 @@ from typing import Any
 
 from gyrocal_ros import kernels, statistics
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import CAUTION, advice
-from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
+from gyrocal_ros.diagnose.analysis.comparison import Comparison, ModelResult
+from gyrocal_ros.diagnose.analysis.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
+from gyrocal_ros.diagnose.analysis.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis.ranking import RankedEffect, estimate, estimate_stds
+from gyrocal_ros.diagnose.analysis.regimes import Failure
+from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
-from gyrocal_ros.diagnose.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
-from gyrocal_ros.diagnose.improvement import Improvement, Revision
-from gyrocal_ros.diagnose.model_fit import model_fit
-from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
-from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.search.timing import TimingFault
 from gyrocal_ros.diagnose.status import (
     Status,
     calibration_status,
@@ -25,9 +26,8 @@ from gyrocal_ros.diagnose.status import (
     diagnosis_status,
     improvement_status,
 )
-from gyrocal_ros.diagnose.timing import TimingFault
 from gyrocal_ros.effects import SCALE_FACTOR
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, conclude
 from gyrocal_ros.pipeline.mount_tilt import mount_tilt

@@ -9,27 +9,27 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import Addition, Search, addition
-from gyrocal_ros.diagnose.alternatives import best_alternative, searched_again
-from gyrocal_ros.diagnose.drift import better_sigma, drift_of_both, drift_of_both_deg
-from gyrocal_ros.diagnose.elimination import eliminate
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine, wider_model
-from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood
-from gyrocal_ros.diagnose.learning import is_missing_something, likeliest_law
-from gyrocal_ros.diagnose.model_fit import model_fit
-from gyrocal_ros.diagnose.noise_fit import NoiseFit, fit_noises, with_noise
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.recovery import first_run
-from gyrocal_ros.diagnose.search import MAX_ADDITIONS, continued, search_from
+from gyrocal_ros.diagnose.analysis.drift import better_sigma, drift_of_both, drift_of_both_deg
+from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, wider_model
+from gyrocal_ros.diagnose.analysis.heading_filter import heading_log_likelihood
+from gyrocal_ros.diagnose.analysis.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure
+from gyrocal_ros.diagnose.analysis.summarise import scatter_in_turns, walk_of_means, white_noise
+from gyrocal_ros.diagnose.laws.learning import is_missing_something, likeliest_law
+from gyrocal_ros.diagnose.search.additions import Addition, Search, addition
+from gyrocal_ros.diagnose.search.alternatives import best_alternative, searched_again
+from gyrocal_ros.diagnose.search.elimination import eliminate
+from gyrocal_ros.diagnose.search.noise_fit import NoiseFit, fit_noises, with_noise
+from gyrocal_ros.diagnose.search.recovery import first_run
+from gyrocal_ros.diagnose.search.search import MAX_ADDITIONS, continued, search_from
+from gyrocal_ros.diagnose.search.several import explained_by_several
+from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
-from gyrocal_ros.diagnose.several import explained_by_several
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure
-from gyrocal_ros.diagnose.summarise import scatter_in_turns, walk_of_means, white_noise
-from gyrocal_ros.diagnose.timing import timing_fault
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.traits import is_unusual, is_white_noise
-from gyrocal_ros.ekf.process_noise import yaw_noise_of
+from gyrocal_ros.ekf.noise.process_noise import yaw_noise_of
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel, with_means

@@ -12,19 +12,19 @@ from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
 from gyrocal_ros.diagnose.advice import MEND_STAMPS, RECORD, join, limits_in_words, twins_in_words
-from gyrocal_ros.diagnose.comparison import Comparison
+from gyrocal_ros.diagnose.analysis.comparison import Comparison
+from gyrocal_ros.diagnose.analysis.drift import SPAN_S, held_out_from_s
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit, model_fit
+from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis
-from gyrocal_ros.diagnose.drift import SPAN_S, held_out_from_s
-from gyrocal_ros.diagnose.improvement import CHANCE_SIGMA, Improvement, change_in_words
-from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
-from gyrocal_ros.diagnose.shapes import UnexplainedStructure
-from gyrocal_ros.diagnose.timing import TimingFault, timing_fault
+from gyrocal_ros.diagnose.search.improvement import CHANCE_SIGMA, Improvement, change_in_words
+from gyrocal_ros.diagnose.search.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.effects.traits import holds_once
-from gyrocal_ros.ekf.noise_bank import MUCH_WALK, walks_more
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.told_faults import told_fault
-from gyrocal_ros.ekf.turn_agreement import camera_yaw_fault
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.turn_agreement import camera_yaw_fault
+from gyrocal_ros.ekf.noise.noise_bank import MUCH_WALK, walks_more
+from gyrocal_ros.ekf.watches.told_faults import told_fault
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration
 

@@ -9,17 +9,17 @@ from itertools import combinations
 
 import numpy as np
 
-from gyrocal_ros.diagnose import shapes
-from gyrocal_ros.diagnose.additions import Addition, Search
-from gyrocal_ros.diagnose.closed_forms import learned_curve
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, unusual_noises, without_effect
-from gyrocal_ros.diagnose.heading_filter import heading_log_likelihood, headings
-from gyrocal_ros.diagnose.learning import MIN_GAIN, is_missing_something, likeliest_law
-from gyrocal_ros.diagnose.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis import shapes
+from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, unusual_noises, without_effect
+from gyrocal_ros.diagnose.analysis.heading_filter import heading_log_likelihood, headings
+from gyrocal_ros.diagnose.analysis.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.shapes import ErrorShape, UnexplainedStructure, unexplained_structure
+from gyrocal_ros.diagnose.laws.closed_forms import learned_curve
+from gyrocal_ros.diagnose.laws.learning import MIN_GAIN, is_missing_something, likeliest_law
 from gyrocal_ros.diagnose.noise import LAW_PART
-from gyrocal_ros.diagnose.predictive_gain import predictive_gain
-from gyrocal_ros.diagnose.shapes import ErrorShape, UnexplainedStructure, unexplained_structure
-from gyrocal_ros.diagnose.timing import timing_fault
+from gyrocal_ros.diagnose.search.additions import Addition, Search
+from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import DYNAMICS, START
 from gyrocal_ros.effects.learned.memory import DRIVES, ExponentialBank
@@ -28,8 +28,8 @@ from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, HEADIN
 from gyrocal_ros.effects.learned.step import Step
 from gyrocal_ros.effects.learned.wave import Wave
 from gyrocal_ros.effects.traits import are_twins, follows_signal, is_limit, is_noise
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.turn_agreement import mounting_fault
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.turn_agreement import mounting_fault
 from gyrocal_ros.model.recording import TEMPERATURE, RecordingSummary
 from gyrocal_ros.model.sensor import TypicalRange
 

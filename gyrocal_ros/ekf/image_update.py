@@ -7,34 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, FeatureObservations, IntArray, SearchRegions, changed, quickly_filled
-from gyrocal_ros.ekf.anchors import settled, with_moved_anchors, with_moving_anchors
-from gyrocal_ros.ekf.camera_watch import LENS_AND_TILT, PRIOR_STD
-from gyrocal_ros.ekf.certain_way import at_certain_way
-from gyrocal_ros.ekf.considered import (
-    combinations_not_told,
-    not_told_at_rest,
-    wait_for_motion,
-    with_considered,
-    with_kept,
-)
-from gyrocal_ros.ekf.effects_by_place import first_sight_by_values
-from gyrocal_ros.ekf.feature_likelihoods import given_others
-from gyrocal_ros.ekf.feature_noise import learn_noise, own_noise
-from gyrocal_ros.ekf.feature_scores import feature_scores
-from gyrocal_ros.ekf.gating import inliers
-from gyrocal_ros.ekf.image_heading import as_heading
-from gyrocal_ros.ekf.image_model import ImageModel
-from gyrocal_ros.ekf.judged import each_alone
-from gyrocal_ros.ekf.known_depth import weighted_scores, with_known_depths
-from gyrocal_ros.ekf.landmarks import augment, count_matches, evict_oldest, forget, mark_seen, match_ids
-from gyrocal_ros.ekf.near_features import with_near_features
-from gyrocal_ros.ekf.repeated_errors import MIN_DEPTH, motion
-from gyrocal_ros.ekf.robust import Consensus, Freed, consensus
-from gyrocal_ros.ekf.slow_errors import differences, with_slow_errors
-from gyrocal_ros.ekf.stamp_noise import stamp_error, with_stamp_noise
-from gyrocal_ros.ekf.state import POSE, YAW, State, features_seen, with_further_errors
-from gyrocal_ros.ekf.turning_view import TURNS_WITH_CAMERA, fixed_to_camera
-from gyrocal_ros.ekf.update import (
+from gyrocal_ros.ekf.equations.effects_by_place import first_sight_by_values
+from gyrocal_ros.ekf.equations.feature_scores import feature_scores
+from gyrocal_ros.ekf.equations.update import (
     NO_DIFFERENCES,
     NO_FEATURES,
     NONE,
@@ -44,7 +19,39 @@ from gyrocal_ros.ekf.update import (
     innovate,
     update,
 )
-from gyrocal_ros.ekf.wheel_noise import PositionScore
+from gyrocal_ros.ekf.features.anchors import settled, with_moved_anchors, with_moving_anchors
+from gyrocal_ros.ekf.features.certain_way import at_certain_way
+from gyrocal_ros.ekf.features.considered import (
+    combinations_not_told,
+    not_told_at_rest,
+    wait_for_motion,
+    with_considered,
+    with_kept,
+)
+from gyrocal_ros.ekf.features.feature_noise import learn_noise, own_noise
+from gyrocal_ros.ekf.features.gating import inliers
+from gyrocal_ros.ekf.features.image_heading import as_heading
+from gyrocal_ros.ekf.features.image_model import ImageModel
+from gyrocal_ros.ekf.features.judged import each_alone
+from gyrocal_ros.ekf.features.known_depth import weighted_scores, with_known_depths
+from gyrocal_ros.ekf.features.landmarks import (
+    augment,
+    count_matches,
+    evict_oldest,
+    forget,
+    mark_seen,
+    match_ids,
+)
+from gyrocal_ros.ekf.features.near_features import with_near_features
+from gyrocal_ros.ekf.features.repeated_errors import MIN_DEPTH, motion
+from gyrocal_ros.ekf.features.robust import Consensus, Freed, consensus
+from gyrocal_ros.ekf.features.slow_errors import differences, with_slow_errors
+from gyrocal_ros.ekf.features.turning_view import TURNS_WITH_CAMERA, fixed_to_camera
+from gyrocal_ros.ekf.history.feature_likelihoods import given_others
+from gyrocal_ros.ekf.noise.stamp_noise import stamp_error, with_stamp_noise
+from gyrocal_ros.ekf.noise.wheel_noise import PositionScore
+from gyrocal_ros.ekf.state.layout import POSE, YAW, State, features_seen, with_further_errors
+from gyrocal_ros.ekf.watches.camera_watch import LENS_AND_TILT, PRIOR_STD
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.camera import bearing, project_with_jacobian
 from gyrocal_ros.model.features.base import Anchors, NewFeatures, Prediction

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections import deque
 
 from gyrocal_ros.data import seconds
-from gyrocal_ros.ekf.adaptive_noise import AdaptiveNoise
-from gyrocal_ros.ekf.robust import Slip
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.update import MeasurementUpdate
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate
+from gyrocal_ros.ekf.features.robust import Slip
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.noise.adaptive_noise import AdaptiveNoise
 from gyrocal_ros.errors import FilterDivergedError
 
 MAP_DROPPED = 'the images contradicted the map; a new map was started'

@@ -22,33 +22,34 @@ from gyrocal_ros.data import (
     changed,
     seconds,
 )
-from gyrocal_ros.ekf.admission import Admission
-from gyrocal_ros.ekf.calibration_watch import CalibrationWatch, watched_effects
-from gyrocal_ros.ekf.certain_way import is_certain, without_way
-from gyrocal_ros.ekf.considered import stretch_by_values
-from gyrocal_ros.ekf.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
-from gyrocal_ros.ekf.frozen_camera import FrozenCamera
-from gyrocal_ros.ekf.gating import MotionGate
-from gyrocal_ros.ekf.heading import HeadingReference
-from gyrocal_ros.ekf.image_model import ImageModel
+from gyrocal_ros.ekf.equations.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
+from gyrocal_ros.ekf.equations.heading import HeadingReference
+from gyrocal_ros.ekf.equations.levelling import Levelling, unlevelled
+from gyrocal_ros.ekf.equations.predict import FilterModel, Transition, predict, predict_sensitivity, with_pose
+from gyrocal_ros.ekf.equations.steady_rate import SteadyRate
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate, UpdateStats, zero_rate_update
+from gyrocal_ros.ekf.features.admission import Admission
+from gyrocal_ros.ekf.features.certain_way import is_certain, without_way
+from gyrocal_ros.ekf.features.considered import stretch_by_values
+from gyrocal_ros.ekf.features.frozen_camera import FrozenCamera
+from gyrocal_ros.ekf.features.gating import MotionGate
+from gyrocal_ros.ekf.features.image_model import ImageModel
+from gyrocal_ros.ekf.features.known_depth import TellingWay
+from gyrocal_ros.ekf.features.landmarks import forget, forget_all
+from gyrocal_ros.ekf.features.moving_features import MovingFeatures
+from gyrocal_ros.ekf.features.resting_view import RestingView
+from gyrocal_ros.ekf.features.track_noise import TrackNoise
+from gyrocal_ros.ekf.features.way_agreement import WayAgreement
+from gyrocal_ros.ekf.history.step_record import StepRecord, step_record
 from gyrocal_ros.ekf.image_update import add_landmarks, search_regions, update_from_image
-from gyrocal_ros.ekf.known_depth import TellingWay
-from gyrocal_ros.ekf.landmarks import forget, forget_all
-from gyrocal_ros.ekf.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.map_watch import CONTRADICTED, MAP_DROPPED, MapWatch, SlipWatch
-from gyrocal_ros.ekf.moving_features import MovingFeatures
-from gyrocal_ros.ekf.predict import FilterModel, Transition, predict, predict_sensitivity, with_pose
-from gyrocal_ros.ekf.rest import RestDetector, RestNoise
-from gyrocal_ros.ekf.resting_view import RestingView
-from gyrocal_ros.ekf.scale_watch import COLUMNS
-from gyrocal_ros.ekf.start import Start, aged, drifted, inflate_after_gap, initial_state, restarted_at, warmed
-from gyrocal_ros.ekf.state import YAW, YAW_BIAS, State
-from gyrocal_ros.ekf.steady_rate import SteadyRate
-from gyrocal_ros.ekf.step_record import StepRecord, step_record
-from gyrocal_ros.ekf.track_noise import TrackNoise
-from gyrocal_ros.ekf.update import MeasurementUpdate, UpdateStats, zero_rate_update
-from gyrocal_ros.ekf.way_agreement import WayAgreement
-from gyrocal_ros.ekf.wheel_noise import WheelNoise
+from gyrocal_ros.ekf.noise.rest import RestDetector, RestNoise
+from gyrocal_ros.ekf.noise.wheel_noise import WheelNoise
+from gyrocal_ros.ekf.state.layout import YAW, YAW_BIAS, State
+from gyrocal_ros.ekf.state.pauses import drifted, inflate_after_gap, restarted_at
+from gyrocal_ros.ekf.state.start import Start, aged, initial_state, warmed
+from gyrocal_ros.ekf.watches.calibration_watch import CalibrationWatch, watched_effects
+from gyrocal_ros.ekf.watches.scale_watch import COLUMNS
 from gyrocal_ros.errors import ConfigError, IndefiniteCovarianceError
 from gyrocal_ros.model.features import PARAMETRISATIONS
 from gyrocal_ros.model.features.base import PosedCamera, posed_camera

@@ -22,9 +22,9 @@ from gyrocal_ros.data import (
     changed,
     nanoseconds,
 )
+from gyrocal_ros.ekf.history.step_record import StepRecord
 from gyrocal_ros.ekf.motion import MotionBuffer
 from gyrocal_ros.ekf.slam import EkfSlam, Seen
-from gyrocal_ros.ekf.step_record import StepRecord
 
 MAX_BLOCK_NS = 250_000_000
 """Maximum length of a block that is predicted at once, where the camera is slow or covered."""

@@ -1,10 +1,10 @@
 """Effects that a whole fleet lacks: score statistics of many bags, pooled with bags as clusters.
 
-The statistics Lambda and b of a bag add up over bags with the same coefficients, so an effect far below
-the noise of one bag shows in many. Its significance is judged by the scatter from bag to bag, which also
-holds where the coefficient differs between robots (`diagnose.candidate_fit`, with bags in place of blocks).
-Effects that one bag cannot tell apart can be distinguished where the bags differ in their conditions: the
-sum of their Lambda is better conditioned than each.
+The statistics Lambda and b of a bag add up over bags with the same coefficients, so an effect far below the
+noise of one bag shows in many. Its significance is judged by the scatter from bag to bag, which also holds
+where the coefficient differs between robots (`diagnose.analysis.candidate_fit`, with bags in place of
+blocks). Effects that one bag cannot tell apart can be distinguished where the bags differ in their
+conditions: the sum of their Lambda is better conditioned than each.
 """
 
 from __future__ import annotations
@@ -16,9 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.candidate_fit import Fit, correlation, fit, preference
+from gyrocal_ros.diagnose.analysis.candidate_fit import Fit, correlation, fit, preference
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
-from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.ekf.history.score_statistics import ScoreStatistics
 from gyrocal_ros.fleet.table import ScoreTable
 
 SIGNIFICANT_SIGMA = 5.0

@@ -20,7 +20,7 @@ CALIBRATED, FAILED = 'calibrated', 'failed'
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BagScores:
-    """Score statistics of c candidate coefficients, summed over one bag (see `ekf.score_statistics`)."""
+    """Score statistics of c candidate coefficients, summed over a bag (`ekf.history.score_statistics`)."""
 
     names: tuple[str, ...]
     """`effect.coefficient`, with `@value` for a coefficient that is scanned."""

@@ -21,20 +21,20 @@ from gyrocal_ros.bag.check import checked_bag
 from gyrocal_ros.config.declare import to_dict
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.candidate_fit import fit
-from gyrocal_ros.diagnose.candidates import ScanBank
+from gyrocal_ros.diagnose.analysis.candidate_fit import fit
+from gyrocal_ros.diagnose.analysis.candidates import ScanBank
+from gyrocal_ros.diagnose.analysis.drift import blind_drift, held_out_from_s, reference_heading
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
-from gyrocal_ros.diagnose.drift import blind_drift, held_out_from_s, reference_heading
 from gyrocal_ros.diagnose.json_summary import summarise
-from gyrocal_ros.diagnose.search import search
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.search import search
 from gyrocal_ros.effects.covariate import CovariateBank, covariate_effects
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
 from gyrocal_ros.effects.registry import load_file, load_installed
 from gyrocal_ros.effects.traits import scanned_coefficient, strengths
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.score_statistics import ScoreStatistics
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.history.score_statistics import ScoreStatistics
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.fleet.result import CALIBRATED, BagResult, BagScores, failed
 from gyrocal_ros.model.sensor import Effect, SensorModel

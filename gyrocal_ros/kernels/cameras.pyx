@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
 """Twins of `model.rotation`, `model.lens`, `model.camera`, `model.features`, `effects.camera_tilt`,
-`ekf.columns` and `ekf.effects_by_place`, which explain the equations."""
+`ekf.state.columns` and `ekf.equations.effects_by_place`, which explain the equations."""
 
 from libc.math cimport atan, cos, fabs, sin, sqrt
 

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twin of `diagnose.heading_filter`, which explains the equations."""
+"""Twin of `diagnose.analysis.heading_filter`, which explains the equations."""
 
 from libc.math cimport INFINITY, isinf, isnan
 

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.update`, `ekf.image_update`, `ekf.feature_likelihoods`, `ekf.feature_scores`, `ekf.slow_errors` and
-`ekf.stamp_noise`, which explain the equations."""
+"""Twins of `ekf.equations.update`, `ekf.image_update`, `ekf.history.feature_likelihoods`, `ekf.equations.feature_scores`, `ekf.features.slow_errors` and
+`ekf.noise.stamp_noise`, which explain the equations."""
 
 from libc.math cimport M_PI, log, sqrt
 

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.state`, `ekf.anchors`, `ekf.feature_noise`, `ekf.known_depth`, `ekf.landmarks`, `ekf.image_update`,
-`ekf.near_features`, `ekf.repeated_errors` and `ekf.sliding`, which explain the equations."""
+"""Twins of `ekf.state.layout`, `ekf.features.anchors`, `ekf.features.feature_noise`, `ekf.features.known_depth`, `ekf.features.landmarks`, `ekf.image_update`,
+`ekf.features.near_features`, `ekf.features.repeated_errors` and `ekf.features.sliding`, which explain the equations."""
 
 from libc.math cimport fabs, sqrt
 from libc.string cimport memcpy

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `model.gyro` and `ekf.predict`, with what that is made of: `model.kinematics` and `ekf.process_noise`. They
+"""Twins of `model.gyro` and `ekf.equations.predict`, with what that is made of: `model.kinematics` and `ekf.noise.process_noise`. They
 explain the equations."""
 
 from libc.math cimport cos, fabs, sin, sqrt, tan

@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twin of `ekf.reference_bank`, which with `ekf.reference_noise` explains the equations."""
+"""Twin of `ekf.noise.reference_bank`, which with `ekf.noise.reference_noise` explains the equations."""
 
 from libc.math cimport fabs, log, log1p, sqrt
 

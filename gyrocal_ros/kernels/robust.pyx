@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.robust`, which explains the equations."""
+"""Twins of `ekf.features.robust`, which explains the equations."""
 
 from libc.math cimport fabs, sqrt
 from libc.stdlib cimport abs

@@ -1,6 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.intervals`, `model.faulty_readings`, `ekf.steady_rate`, `ekf.columns`, `ekf.effects_by_place`,
-`ekf.predict`, `ekf.step_record`, `effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the
+"""Twins of `ekf.intervals`, `model.faulty_readings`, `ekf.equations.steady_rate`, `ekf.state.columns`, `ekf.equations.effects_by_place`,
+`ekf.equations.predict`, `ekf.history.step_record`, `effects.fading`, `effects.learned.curve` and `effects.learned.drives` for the
 samples of a block."""
 
 from libc.math cimport M_PI, cos, exp, fabs, isnan, sin, sqrt

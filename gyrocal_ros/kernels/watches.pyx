@@ -1,5 +1,5 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, cdivision=True, initializedcheck=False
-"""Twins of `ekf.known_depth`, `ekf.noise_bank`, `ekf.positive_definite`, `ekf.scale_watch` and `ekf.slow_errors`, which
+"""Twins of `ekf.features.known_depth`, `ekf.noise.noise_bank`, `ekf.state.positive_definite`, `ekf.watches.scale_watch` and `ekf.features.slow_errors`, which
 explain the equations."""
 
 from libc.float cimport DBL_MIN

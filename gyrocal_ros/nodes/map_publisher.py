@@ -5,7 +5,7 @@ from __future__ import annotations
 from rclpy.node import Node
 from visualization_msgs.msg import MarkerArray
 
-from gyrocal_ros.ekf.map import CeilingMap
+from gyrocal_ros.ekf.state.map import CeilingMap
 from gyrocal_ros.msgs import outputs
 from gyrocal_ros.msgs.to_ros import MessageMaker
 from gyrocal_ros.nodes.qos import LATCHED

@@ -11,10 +11,10 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.effects.traits import followers_by_signal
-from gyrocal_ros.ekf.run import Run, RunEvent
-from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import YAW_BIAS
-from gyrocal_ros.ekf.turn_agreement import mounting_fault
+from gyrocal_ros.ekf.history.run import Run, RunEvent
+from gyrocal_ros.ekf.history.turn_agreement import mounting_fault
+from gyrocal_ros.ekf.state.layout import YAW_BIAS
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import NotObservableError, RecordingError
 from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Effect, SensorModel

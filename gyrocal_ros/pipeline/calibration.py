@@ -17,13 +17,13 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.config.yaml_file import read_yaml
 from gyrocal_ros.data import Array
 from gyrocal_ros.effects.model_file import model_from_dict, model_to_dict
-from gyrocal_ros.ekf.convergence import Convergence, is_plausible
+from gyrocal_ros.ekf.history.convergence import Convergence, is_plausible
+from gyrocal_ros.ekf.history.run import Run, step_by_step
+from gyrocal_ros.ekf.history.scatter import scatter_of
+from gyrocal_ros.ekf.history.turn_agreement import mounting_fault
 from gyrocal_ros.ekf.map_watch import loses_its_map
-from gyrocal_ros.ekf.run import Run, step_by_step
-from gyrocal_ros.ekf.scatter import scatter_of
-from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
-from gyrocal_ros.ekf.turn_agreement import mounting_fault
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE, YAW_BIAS, State
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.model.sensor import SensorModel
@@ -133,7 +133,8 @@ def calibration_of(
     """Return the calibration by a state of the filter.
 
     Args:
-        inflation: (1 + k,) factors on the standard deviations of bias and coefficients, see `ekf.scatter`.
+        inflation: (1 + k,) factors on the standard deviations of bias and coefficients
+            (`ekf.history.scatter`).
 
     The other keyword arguments are fields of `Calibration`.
     """

@@ -22,11 +22,11 @@ from gyrocal_ros.data import (
     Measurement,
     Source,
 )
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.intervals import PAUSE_NS
 from gyrocal_ros.ekf.motion import GAP_NS
-from gyrocal_ros.ekf.reference_bank import NoiseFit
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.start import Start
+from gyrocal_ros.ekf.noise.reference_bank import NoiseFit
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.reference_events import reference_events

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.levelling import INITIAL_STD_RAD
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import EULER
+from gyrocal_ros.ekf.equations.levelling import INITIAL_STD_RAD
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import EULER
 
 BLOCK_S = 10.0
 """Length of the stretches by whose scatter the standard deviation is estimated."""

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Span
-from gyrocal_ros.ekf.run import Run, RunEvent
+from gyrocal_ros.ekf.history.run import Run, RunEvent
 from gyrocal_ros.pipeline.reference_fit import ReferenceFit
 
 MAX_MISFIT_DEG = 2.0

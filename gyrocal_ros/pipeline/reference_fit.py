@@ -9,8 +9,8 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.reference_bank import NoiseFit, ReferenceBank, grid, likeliest_walk
-from gyrocal_ros.ekf.reference_noise import ReferenceNoise
+from gyrocal_ros.ekf.noise.reference_bank import NoiseFit, ReferenceBank, grid, likeliest_walk
+from gyrocal_ros.ekf.noise.reference_noise import ReferenceNoise
 
 MAX_HEADINGS = 5000
 """Number of headings that are used for the fit; of more, every second, third, ... is."""

@@ -15,7 +15,7 @@ import numpy as np
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, HeadingSample, ImuSample, Measurement, nanoseconds
 from gyrocal_ros.ekf.intervals import PAUSE_NS
-from gyrocal_ros.ekf.reference_noise import ReferenceNoise
+from gyrocal_ros.ekf.noise.reference_noise import ReferenceNoise
 from gyrocal_ros.pipeline.reference_fit import HeadingTrack, log_likelihood_of
 
 TIME_CONSTANTS_S = (0.03, 0.1, 0.3)

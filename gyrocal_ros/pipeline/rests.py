@@ -11,7 +11,7 @@ import math
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ClockStep, ImuSample, Measurement, MotionBlock, WheelSample, nanoseconds
 from gyrocal_ros.ekf.motion import MotionBuffer
-from gyrocal_ros.ekf.rest import WINDOW_S, RestDetector, RestNoise
+from gyrocal_ros.ekf.noise.rest import WINDOW_S, RestDetector, RestNoise
 
 BLOCK_NS = nanoseconds(WINDOW_S / 5.0)
 """Shortest block; a rest ends within one."""

@@ -10,10 +10,10 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, ClockStep, Measurement, Source, TruthSample, seconds
-from gyrocal_ros.ekf.run import Recorder, Run
+from gyrocal_ros.ekf.history.run import Recorder, Run
+from gyrocal_ros.ekf.history.turn_agreement import mounting_fault
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.start import Start
-from gyrocal_ros.ekf.turn_agreement import mounting_fault
+from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.visual_slam import VisualSlam

@@ -7,8 +7,8 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from gyrocal_ros.data import ClockStep, FeatureObservations, Frame, ImuSample, Measurement
+from gyrocal_ros.ekf.history.step_record import StepRecord
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.step_record import StepRecord
 from gyrocal_ros.ekf.stream import SlamStream
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 from gyrocal_ros import __version__
 from gyrocal_ros.config.declare import to_yaml
-from gyrocal_ros.diagnose.drift import (
+from gyrocal_ros.diagnose.analysis.drift import (
     REFERENCES,
     BlindDrift,
     Trajectory2D,
@@ -19,14 +19,14 @@ from gyrocal_ros.diagnose.drift import (
     slam_path,
     truth_path,
 )
-from gyrocal_ros.diagnose.model_fit import ModelFit, model_fit
-from gyrocal_ros.diagnose.run_series import CONFIDENCE, distances_m, uncorrected, windows
+from gyrocal_ros.diagnose.analysis.model_fit import ModelFit, model_fit
+from gyrocal_ros.diagnose.series.run_series import CONFIDENCE, distances_m, uncorrected, windows
 from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.effects.model_file import model_to_yaml
-from gyrocal_ros.ekf.map import ceiling_map
-from gyrocal_ros.ekf.run import History, Run
-from gyrocal_ros.ekf.state import YAW_BIAS
+from gyrocal_ros.ekf.history.run import History, Run
+from gyrocal_ros.ekf.state.layout import YAW_BIAS
+from gyrocal_ros.ekf.state.map import ceiling_map
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.pipeline.mount_tilt import mount_tilt
 from gyrocal_ros.report import calibration_figures as figures

@@ -9,13 +9,13 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.drift import HeadingError, Trajectory2D
-from gyrocal_ros.diagnose.run_series import CONFIDENCE, Windows
+from gyrocal_ros.diagnose.analysis.drift import HeadingError, Trajectory2D
+from gyrocal_ros.diagnose.series.run_series import CONFIDENCE, Windows
 from gyrocal_ros.effects.base import shown_in
-from gyrocal_ros.ekf.map import CeilingMap
-from gyrocal_ros.ekf.run import History, Run
-from gyrocal_ros.ekf.scatter import scatter_of
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, YAW, YAW_BIAS
+from gyrocal_ros.ekf.history.run import History, Run
+from gyrocal_ros.ekf.history.scatter import scatter_of
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW, YAW_BIAS
+from gyrocal_ros.ekf.state.map import CeilingMap
 from gyrocal_ros.pipeline.calibration import Calibration
 from gyrocal_ros.report.plot import (
     BLUE,

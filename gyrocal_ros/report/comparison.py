@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gyrocal_ros import __version__
-from gyrocal_ros.diagnose.comparison import Comparison, ModelResult
-from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
-from gyrocal_ros.diagnose.heading_filter import headings
+from gyrocal_ros.diagnose.analysis.comparison import Comparison, ModelResult
+from gyrocal_ros.diagnose.analysis.drift import REFERENCES, SPAN_S
+from gyrocal_ros.diagnose.analysis.heading_filter import headings
 from gyrocal_ros.diagnose.json_summary import nis_per_dof
-from gyrocal_ros.diagnose.model_series import coefficients, failures_by_model, slam_errors_deg
-from gyrocal_ros.diagnose.run_series import windows
+from gyrocal_ros.diagnose.series.model_series import coefficients, failures_by_model, slam_errors_deg
+from gyrocal_ros.diagnose.series.run_series import windows
 from gyrocal_ros.diagnose.status import comparison_status
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report import comparison_figures as figures

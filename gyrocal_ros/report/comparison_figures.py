@@ -10,9 +10,9 @@ import numpy as np
 import plotly.graph_objects as go
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.drift import REFERENCES, BlindDrift
-from gyrocal_ros.diagnose.model_series import CoefficientEstimate
-from gyrocal_ros.diagnose.run_series import Windows
+from gyrocal_ros.diagnose.analysis.drift import REFERENCES, BlindDrift
+from gyrocal_ros.diagnose.series.model_series import CoefficientEstimate
+from gyrocal_ros.diagnose.series.run_series import Windows
 from gyrocal_ros.report.calibration_figures import nis_bounds
 from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.plot import (

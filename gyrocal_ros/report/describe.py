@@ -9,11 +9,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.drift import BlindDrift
-from gyrocal_ros.diagnose.regimes import Failure
+from gyrocal_ros.diagnose.analysis.drift import BlindDrift
+from gyrocal_ros.diagnose.analysis.regimes import Failure
 from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.effects.base import shown_in
-from gyrocal_ros.ekf.run import Run, RunEvent
+from gyrocal_ros.ekf.history.run import Run, RunEvent
 from gyrocal_ros.model.sensor import Effect
 
 MAX_SIGMA = 30.0

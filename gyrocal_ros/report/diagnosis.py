@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Sequence
 from html import escape
 
 from gyrocal_ros import __version__
-from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.advice import advice, grouped
+from gyrocal_ros.diagnose.analysis.drift import REFERENCES, SPAN_S, BlindDrift
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel
+from gyrocal_ros.diagnose.analysis.regimes import Failure
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect
-from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S, BlindDrift
-from gyrocal_ros.diagnose.error_curves import errors_by_signal
-from gyrocal_ros.diagnose.examined import ExaminedModel
-from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.search_series import (
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.series.error_curves import errors_by_signal
+from gyrocal_ros.diagnose.series.search_series import (
     candidate_rows,
     effect_curve,
     held_out_drifts,

@@ -10,15 +10,15 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.drift import BlindDrift
-from gyrocal_ros.diagnose.error_curves import ErrorBySignal
-from gyrocal_ros.diagnose.heading_filter import Headings
-from gyrocal_ros.diagnose.regimes import Failure
-from gyrocal_ros.diagnose.run_series import camera_off
-from gyrocal_ros.diagnose.search_series import CandidateRow, EffectCurve
+from gyrocal_ros.diagnose.analysis.drift import BlindDrift
+from gyrocal_ros.diagnose.analysis.heading_filter import Headings
+from gyrocal_ros.diagnose.analysis.regimes import Failure
+from gyrocal_ros.diagnose.analysis.wander import Wander, wander
+from gyrocal_ros.diagnose.series.error_curves import ErrorBySignal
+from gyrocal_ros.diagnose.series.run_series import camera_off
+from gyrocal_ros.diagnose.series.search_series import CandidateRow, EffectCurve
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
-from gyrocal_ros.diagnose.wander import Wander, wander
-from gyrocal_ros.ekf.run import History
+from gyrocal_ros.ekf.history.run import History
 from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.plot import (
     AFTER,

@@ -7,7 +7,7 @@ from html import escape
 
 from gyrocal_ros import __version__, kernels
 from gyrocal_ros.data import NS_PER_S
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.pipeline.calibration import calibration_to_yaml, conclude
 from gyrocal_ros.report.html import table
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from gyrocal_ros import __version__
-from gyrocal_ros.diagnose.drift import REFERENCES, SPAN_S
-from gyrocal_ros.diagnose.improvement import Improvement, Revision
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw
-from gyrocal_ros.diagnose.model_series import coefficients
+from gyrocal_ros.diagnose.analysis.drift import REFERENCES, SPAN_S
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw
+from gyrocal_ros.diagnose.search.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.series.model_series import coefficients
 from gyrocal_ros.diagnose.status import improvement_status
 from gyrocal_ros.effects.model_file import model_to_yaml
 from gyrocal_ros.report.calibration_figures import coefficients as over_time

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from gyrocal_ros.diagnose.bump_fit import BumpFit
-from gyrocal_ros.diagnose.closed_forms import ClosedForm
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
+from gyrocal_ros.diagnose.laws.bump_fit import BumpFit
+from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.drives import ABS_RATE, LAST_TURN, MOVING, SIDE, START
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.describe import with_std

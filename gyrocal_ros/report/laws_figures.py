@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.diagnose.closed_forms import ClosedForm, LearnedCurve, form_over
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw, unit_of
+from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm, LearnedCurve, form_over
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import START
 from gyrocal_ros.effects.learned.memory import ExponentialBank

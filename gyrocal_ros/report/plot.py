@@ -20,7 +20,7 @@ from plotly.offline import get_plotlyjs
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.run_series import rows_to_draw
+from gyrocal_ros.diagnose.series.run_series import rows_to_draw
 
 BLUE, VERMILLION, GREEN, PURPLE, GREY = '#0072B2', '#D55E00', '#009E73', '#CC79A7', '#808080'
 GRID, CLEAR = 'rgba(128,128,128,0.25)', 'rgba(0,0,0,0)'

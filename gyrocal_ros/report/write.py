@@ -8,11 +8,9 @@ from shutil import rmtree
 
 from gyrocal_ros.config.declare import to_yaml
 from gyrocal_ros.data import NS_PER_S, IntArray
-from gyrocal_ros.diagnose.additions import Search
-from gyrocal_ros.diagnose.comparison import Comparison
+from gyrocal_ros.diagnose.analysis.comparison import Comparison
+from gyrocal_ros.diagnose.analysis.drift import dead_reckoning
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
-from gyrocal_ros.diagnose.drift import dead_reckoning
-from gyrocal_ros.diagnose.improvement import Improvement, Revision
 from gyrocal_ros.diagnose.json_summary import (
     merit,
     summarise,
@@ -20,10 +18,12 @@ from gyrocal_ros.diagnose.json_summary import (
     summarise_diagnosis,
     summarise_improvement,
 )
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.improvement import Improvement, Revision
 from gyrocal_ros.effects.model_file import model_to_yaml
-from gyrocal_ros.ekf.run import Run
-from gyrocal_ros.ekf.state import EULER, POSITION
+from gyrocal_ros.ekf.history.run import Run
+from gyrocal_ros.ekf.state.layout import EULER, POSITION
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import json_text, write_text_atomic
 from gyrocal_ros.msgs.transforms import quaternion_from_euler

@@ -27,9 +27,9 @@ from gyrocal_ros.data import (
     nanoseconds,
 )
 from gyrocal_ros.effects.traits import followers_by_signal
-from gyrocal_ros.ekf.map import CeilingMap, ceiling_map
-from gyrocal_ros.ekf.map_frame import point_covariances
 from gyrocal_ros.ekf.slam import EkfSlam
+from gyrocal_ros.ekf.state.map import CeilingMap, ceiling_map
+from gyrocal_ros.ekf.state.map_frame import point_covariances
 from gyrocal_ros.model.recording import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.msgs.mounts import into_body_axes

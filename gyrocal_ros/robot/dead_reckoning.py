@@ -27,12 +27,12 @@ from gyrocal_ros.data import (
     nanoseconds,
     seconds,
 )
-from gyrocal_ros.ekf.effects_by_place import sort_effects
-from gyrocal_ros.ekf.map_frame import pose_covariance
+from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
+from gyrocal_ros.ekf.equations.predict import FilterModel, predict, with_pose
 from gyrocal_ros.ekf.motion import GAP_NS, MotionBuffer
-from gyrocal_ros.ekf.predict import FilterModel, predict, with_pose
-from gyrocal_ros.ekf.start import inflate_after_gap
-from gyrocal_ros.ekf.state import BIAS, COEFFICIENTS_START, EULER, POSE, YAW_BIAS, State
+from gyrocal_ros.ekf.state.layout import BIAS, COEFFICIENTS_START, EULER, POSE, YAW_BIAS, State
+from gyrocal_ros.ekf.state.map_frame import pose_covariance
+from gyrocal_ros.ekf.state.pauses import inflate_after_gap
 from gyrocal_ros.ekf.stream import MAX_BLOCK_NS
 from gyrocal_ros.model.gyro import correct
 from gyrocal_ros.model.planar import Pose, Three, step_pose

@@ -11,16 +11,16 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Measurement, Rig, seconds
-from gyrocal_ros.ekf.convergence import Convergence
+from gyrocal_ros.ekf.history.convergence import Convergence
+from gyrocal_ros.ekf.history.scatter import Scatter, traces, with_suspected
+from gyrocal_ros.ekf.history.step_record import StepRecord
+from gyrocal_ros.ekf.history.turn_agreement import TurnAgreement
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, MAP_DROPPED, LostMaps
-from gyrocal_ros.ekf.noise_bank import MUCH_WALK, walks_more
-from gyrocal_ros.ekf.scatter import Scatter, traces, with_suspected
+from gyrocal_ros.ekf.noise.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.ekf.start import Start, initial_state
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, SCALE, YAW_BIAS, State
-from gyrocal_ros.ekf.step_record import StepRecord
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE, YAW_BIAS, State
+from gyrocal_ros.ekf.state.start import Start, initial_state
 from gyrocal_ros.ekf.stream import SlamStream
-from gyrocal_ros.ekf.turn_agreement import TurnAgreement
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import SensorModel
 from gyrocal_ros.pipeline.calibration import Calibration, calibration_of

@@ -9,7 +9,7 @@ from typing import Any
 
 from dash import ALL, ClientsideFunction, Dash, Input, Output, State, ctx, no_update
 
-from gyrocal_ros.diagnose.shapes import TIME
+from gyrocal_ros.diagnose.analysis.shapes import TIME
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio import panels, pictures

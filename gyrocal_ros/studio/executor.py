@@ -9,21 +9,21 @@ from itertools import count
 
 import numpy as np
 
-from gyrocal_ros.diagnose.additions import Search
+from gyrocal_ros.diagnose.analysis.drift import reference_heading
+from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine
+from gyrocal_ros.diagnose.analysis.heading_filter import headings
+from gyrocal_ros.diagnose.analysis.ranking import best_explanation
+from gyrocal_ros.diagnose.analysis.shapes import shapes
+from gyrocal_ros.diagnose.analysis.validation import validate
+from gyrocal_ros.diagnose.analysis.wander import wander
 from gyrocal_ros.diagnose.diagnosis import diagnose_before_adding
-from gyrocal_ros.diagnose.drift import reference_heading
-from gyrocal_ros.diagnose.error_curves import centred
-from gyrocal_ros.diagnose.examined import Calibrate, ExaminedModel, examine
-from gyrocal_ros.diagnose.heading_filter import headings
-from gyrocal_ros.diagnose.learning import is_missing_something, learn
-from gyrocal_ros.diagnose.limit_runs import limits_to_check
-from gyrocal_ros.diagnose.ranking import best_explanation
-from gyrocal_ros.diagnose.recovery import first_run
-from gyrocal_ros.diagnose.run_series import rows_to_draw
-from gyrocal_ros.diagnose.shapes import shapes
-from gyrocal_ros.diagnose.validation import validate
-from gyrocal_ros.diagnose.wander import wander
-from gyrocal_ros.ekf.run import Run
+from gyrocal_ros.diagnose.laws.learning import is_missing_something, learn
+from gyrocal_ros.diagnose.search.additions import Search
+from gyrocal_ros.diagnose.search.limit_runs import limits_to_check
+from gyrocal_ros.diagnose.search.recovery import first_run
+from gyrocal_ros.diagnose.series.error_curves import centred
+from gyrocal_ros.diagnose.series.run_series import rows_to_draw
+from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel

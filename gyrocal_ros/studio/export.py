@@ -6,9 +6,9 @@ import shutil
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from gyrocal_ros.diagnose.additions import Search
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.learned_laws import learned_laws
+from gyrocal_ros.diagnose.laws.learned_laws import learned_laws
+from gyrocal_ros.diagnose.search.additions import Search
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.report.pdf import save_pdf

@@ -13,12 +13,12 @@ from typing import Any
 from dash import html
 
 from gyrocal_ros.diagnose.advice import RECORD, join
-from gyrocal_ros.diagnose.candidate_fit import held_out_gain
-from gyrocal_ros.diagnose.failure_ranges import Ranges, failure_ranges
-from gyrocal_ros.diagnose.ranking import RankedEffect, estimate, estimate_stds
+from gyrocal_ros.diagnose.analysis.candidate_fit import held_out_gain
+from gyrocal_ros.diagnose.analysis.ranking import RankedEffect, estimate, estimate_stds
+from gyrocal_ros.diagnose.analysis.validation import coefficient_pairs
 from gyrocal_ros.diagnose.separability import how_to_tell_apart
+from gyrocal_ros.diagnose.series.failure_ranges import Ranges, failure_ranges
 from gyrocal_ros.diagnose.status import NextSteps, Status, diagnosis_status, missing_sentence
-from gyrocal_ros.diagnose.validation import coefficient_pairs
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.effects.base import Explanation, with_unit
 from gyrocal_ros.model.sensor import Effect

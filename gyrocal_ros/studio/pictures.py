@@ -8,16 +8,22 @@ from typing import Any
 
 import numpy as np
 
-from gyrocal_ros.diagnose.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s, reference_heading
-from gyrocal_ros.diagnose.effect_axis import curve_before_adding, effect_axis
-from gyrocal_ros.diagnose.error_curves import ErrorBySignal, ErrorCurve, curve_by_effects
-from gyrocal_ros.diagnose.improvement import Improvement, Revision
-from gyrocal_ros.diagnose.law_axis import curves_of_law, law_axis
-from gyrocal_ros.diagnose.model_series import coefficients
-from gyrocal_ros.diagnose.ranking import estimate
-from gyrocal_ros.diagnose.run_series import camera_off, windows
-from gyrocal_ros.diagnose.search_series import FIRST_MODEL, open_candidate_rows
-from gyrocal_ros.diagnose.wander import Wander
+from gyrocal_ros.diagnose.analysis.drift import (
+    SPAN_S,
+    BlindDrift,
+    blind_drift,
+    held_out_from_s,
+    reference_heading,
+)
+from gyrocal_ros.diagnose.analysis.ranking import estimate
+from gyrocal_ros.diagnose.analysis.wander import Wander
+from gyrocal_ros.diagnose.search.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.series.effect_axis import curve_before_adding, effect_axis
+from gyrocal_ros.diagnose.series.error_curves import ErrorBySignal, ErrorCurve, curve_by_effects
+from gyrocal_ros.diagnose.series.law_axis import curves_of_law, law_axis
+from gyrocal_ros.diagnose.series.model_series import coefficients
+from gyrocal_ros.diagnose.series.run_series import camera_off, windows
+from gyrocal_ros.diagnose.series.search_series import FIRST_MODEL, open_candidate_rows
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.report import calibration_figures, comparison_figures
 from gyrocal_ros.report import diagnosis_figures as figures

@@ -11,7 +11,7 @@ from gyrocal_ros.bag.check import CheckReport, check_bag
 from gyrocal_ros.bag.source import open_bag
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.effects import find_effect
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import SensorModel

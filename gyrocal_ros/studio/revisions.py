@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-from gyrocal_ros.diagnose.additions import addition
-from gyrocal_ros.diagnose.drift import reference_heading
-from gyrocal_ros.diagnose.improvement import (
+from gyrocal_ros.diagnose.analysis.drift import reference_heading
+from gyrocal_ros.diagnose.search.additions import addition
+from gyrocal_ros.diagnose.search.improvement import (
     Improvement,
     Revision,
     first_revision,

@@ -13,8 +13,8 @@ from pathlib import Path
 from threading import Condition
 from typing import Any, Protocol
 
-from gyrocal_ros.diagnose.examined import wider_model, with_effect
-from gyrocal_ros.diagnose.improvement import Improvement
+from gyrocal_ros.diagnose.analysis.examined import wider_model, with_effect
+from gyrocal_ros.diagnose.search.improvement import Improvement
 from gyrocal_ros.effects import EFFECTS, LEARNED_EFFECTS, find_effect
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.model.sensor import SensorModel

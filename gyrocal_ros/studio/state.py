@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from gyrocal_ros.diagnose.improvement import Improvement
-from gyrocal_ros.diagnose.learned_laws import LearnedLaw, learned_laws
-from gyrocal_ros.diagnose.validation import Validation
+from gyrocal_ros.diagnose.analysis.validation import Validation
+from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, learned_laws
+from gyrocal_ros.diagnose.search.improvement import Improvement
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.studio.lesson import Reveal
 from gyrocal_ros.studio.recordings import RecordingContents

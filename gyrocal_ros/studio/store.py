@@ -18,7 +18,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from gyrocal_ros.diagnose.improvement import Improvement, Revision
+from gyrocal_ros.diagnose.search.improvement import Improvement, Revision
 from gyrocal_ros.effects.model_file import load_model
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.files import json_text, new_folder, write_text_atomic

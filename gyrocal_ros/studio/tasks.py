@@ -7,12 +7,12 @@ from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel
+from gyrocal_ros.diagnose.analysis.ranking import RankedEffect
+from gyrocal_ros.diagnose.analysis.validation import Validation
+from gyrocal_ros.diagnose.analysis.wander import Wander
 from gyrocal_ros.diagnose.diagnosis import Diagnosis
-from gyrocal_ros.diagnose.error_curves import ErrorCurve
-from gyrocal_ros.diagnose.examined import ExaminedModel
-from gyrocal_ros.diagnose.ranking import RankedEffect
-from gyrocal_ros.diagnose.validation import Validation
-from gyrocal_ros.diagnose.wander import Wander
+from gyrocal_ros.diagnose.series.error_curves import ErrorCurve
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibration import Calibration

@@ -12,7 +12,7 @@ from gyrocal_ros.bench.bench_run import Variant, settled_after_s
 from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, TRUE_VOLT, Claim, Mapper, assess
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.state import COEFFICIENTS_START
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import find_scenario

@@ -13,9 +13,9 @@ import numpy as np
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.config.sections import FeatureConfig
 from gyrocal_ros.data import Array, CameraIntrinsics, Mount
-from gyrocal_ros.ekf.landmarks import augment
-from gyrocal_ros.ekf.state import COEFFICIENTS_START, POSITION, State, no_landmarks
-from gyrocal_ros.ekf.update import innovate, update
+from gyrocal_ros.ekf.equations.update import innovate, update
+from gyrocal_ros.ekf.features.landmarks import augment
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, POSITION, State, no_landmarks
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.model.features import PARAMETRISATIONS

@@ -10,9 +10,9 @@ import numpy as np
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.drift import Trajectory2D, slam_path
+from gyrocal_ros.diagnose.analysis.drift import Trajectory2D, slam_path
 from gyrocal_ros.effects import default_model
-from gyrocal_ros.ekf.map import CeilingMap, ceiling_map
+from gyrocal_ros.ekf.state.map import CeilingMap, ceiling_map
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.manoeuvres import drive, rest, turn
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario

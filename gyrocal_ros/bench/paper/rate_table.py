@@ -13,10 +13,10 @@ import numpy as np
 from gyrocal_ros.bench.paper.experiment import NOMINAL_VOLT, Claim, Mapper, assess
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ImuSample
+from gyrocal_ros.diagnose.analysis.ranking import estimate, estimate_stds
+from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose
-from gyrocal_ros.diagnose.ranking import estimate, estimate_stds
-from gyrocal_ros.diagnose.search import search
-from gyrocal_ros.diagnose.summarise import summarise_recording
+from gyrocal_ros.diagnose.search.search import search
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.scale import FULL_RATE_RAD_S, scale_power
 from gyrocal_ros.pipeline.calibrate import calibrate

@@ -1,0 +1,316 @@
+"""Blind drift: the heading error of the gyro alone after a span without the camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.history.run import GroundTruth, History, Run
+from gyrocal_ros.ekf.state.layout import YAW, YAW_BIAS
+from gyrocal_ros.model.planar import planar_trajectory
+from gyrocal_ros.statistics import chi_square_quantile, trigamma
+
+TRUTH = 'ground truth'
+REFERENCES = {
+    TRUTH: 'the ground truth',
+    'slam': 'the heading by SLAM',
+    'heading reference': 'the filtered heading reference',
+}
+"""References that headings are compared with: name and description."""
+SPAN_S = 60.0
+"""Length of a span without the camera."""
+STRIDE_S = 5.0
+"""Distance of the beginnings of spans."""
+SETTLING_S = 10.0
+"""Earliest beginning of a span: before, the gyro is hardly calibrated."""
+SEEN_S = 2.0
+"""Longest time without an image or a heading up to which the filter's own heading is a reference: later it is
+that of the gyro itself."""
+MIN_INDEPENDENT = 2.0
+"""Minimum number of independent spans for an upper end of the interval."""
+MORE_SIGMA = 0.5
+"""Rise of the held-out drift with a noise from which the noise is left out. In recordings of five minutes a
+true random walk of the bias has at most 0.4, a bias that jumps to and fro 0.4 to 1.8."""
+TAIL = 0.05
+"""Probability beyond each end of an interval."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BlindDrift:
+    """Heading errors at the ends of spans without the camera."""
+
+    span_s: float
+    start_s: Array
+    """(n,) beginnings of the spans, in s since the first step."""
+    error_rad: Array
+    """(n,) heading by the gyro less heading by the reference, at the end of each span."""
+    reference: str
+    """One of `REFERENCES`."""
+    unseen: int = 0
+    """Number of spans left out because neither images nor headings tell the heading at their end."""
+
+    @property
+    def rms_deg(self) -> float:
+        """Root mean square, NaN where there is no span."""
+        return float(np.degrees(np.sqrt(np.mean(self.error_rad**2)))) if len(self.error_rad) else float('nan')
+
+    @property
+    def max_deg(self) -> float:
+        """Largest magnitude, NaN where there is no span."""
+        return float(np.degrees(np.abs(self.error_rad).max())) if len(self.error_rad) else float('nan')
+
+    @property
+    def independent(self) -> float:
+        """Number of spans without overlap that would determine the rms as well (Satterthwaite 1946)."""
+        apart_s = np.abs(self.start_s[:, None] - self.start_s)
+        shared = np.maximum(1.0 - apart_s / self.span_s, 0.0)
+        return float(len(self.start_s) ** 2 / np.sum(shared**2)) if len(self.start_s) else 0.0
+
+    @property
+    def interval_deg(self) -> tuple[float, float]:
+        """Interval (90 %) of the rms of very many such spans, by the chi-square distribution.
+
+        The upper end is infinite where all spans together are hardly more than one.
+        """
+        if not len(self.error_rad):
+            return float('nan'), float('nan')
+        dof = self.independent
+        least, most = (chi_square_quantile(tail, dof) / dof for tail in (TAIL, 1.0 - TAIL))
+        high = self.rms_deg / math.sqrt(least) if dof >= MIN_INDEPENDENT else float('inf')
+        return self.rms_deg / math.sqrt(most), high
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Heading:
+    """Heading over time, by one source."""
+
+    time_s: Array
+    yaw_rad: Array
+    """(n,) unwrapped."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory2D:
+    """Position and heading over time, by one source."""
+
+    time_s: Array
+    position_m: Array
+    """(n, 2)"""
+    yaw_rad: Array
+    """(n,) unwrapped."""
+
+
+def slam_path(run: Run) -> Trajectory2D:
+    """Return the trajectory by the filter."""
+    history = run.history
+    return Trajectory2D(history.time_s, history.mean[:, :2], history.mean[:, YAW])
+
+
+def truth_path(run: Run) -> Trajectory2D | None:
+    """Return the ground truth, aligned to the map's frame at the first common moment."""
+    heading, truth = truth_heading(run), run.truth
+    if heading is None or truth is None:
+        return None
+    slam, time_s = slam_path(run), heading.time_s
+    common = _common(truth, slam)
+    position, turn = truth.position_m[common], heading.yaw_rad[0] - truth.yaw_rad[common][0]
+    at_first = [np.interp(time_s[0], slam.time_s, column) for column in slam.position_m.T]
+    c, s = np.cos(turn), np.sin(turn)
+    moved = (position - position[0]) @ np.array([[c, s], [-s, c]]) + at_first
+    return Trajectory2D(time_s, moved, heading.yaw_rad)
+
+
+def truth_heading(run: Run) -> Heading | None:
+    """Return the heading by the ground truth, aligned to the map's frame at the first common moment."""
+    if run.truth is None:
+        return None
+    slam = slam_path(run)
+    common = _common(run.truth, slam)
+    time_s, yaw = run.truth.time_s[common], run.truth.yaw_rad[common]
+    if len(time_s) < 2:
+        return None
+    turn = np.interp(time_s[0], slam.time_s, slam.yaw_rad) - yaw[0]
+    return Heading(time_s, yaw + turn)
+
+
+def _common(truth: GroundTruth, slam: Trajectory2D) -> slice:
+    """Return the rows of the ground truth within the time of a trajectory; they are in order."""
+    first_s, last_s = slam.time_s[[0, -1]]
+    return slice(truth.time_s.searchsorted(first_s), truth.time_s.searchsorted(last_s, 'right'))
+
+
+def reference_heading(run: Run) -> tuple[Heading, str]:
+    """Return the heading to compare with, and its name in `REFERENCES`."""
+    truth = truth_heading(run)
+    if truth is not None:
+        return truth, TRUTH
+    slam = slam_path(run)
+    return Heading(slam.time_s, slam.yaw_rad), 'slam' if run.rig.camera is not None else 'heading reference'
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class HeadingError:
+    """Heading by the filter less the ground truth, aligned at the first common moment."""
+
+    time_s: Array
+    """(s,) steps of the filter with ground truth."""
+    error_rad: Array
+    std_rad: Array
+    """(s,) standard deviation by the filter."""
+
+
+def heading_error(run: Run) -> HeadingError | None:
+    """Return the heading error of the filter against the ground truth; None without ground truth."""
+    truth = truth_heading(run)
+    if truth is None:
+        return None
+    slam = slam_path(run)
+    inside = (slam.time_s >= truth.time_s[0]) & (slam.time_s <= truth.time_s[-1])
+    time_s = slam.time_s[inside]
+    error = slam.yaw_rad[inside] - np.interp(time_s, truth.time_s, truth.yaw_rad)
+    return HeadingError(time_s, error, run.history.std[inside, YAW])
+
+
+def heading_rms_deg(run: Run) -> float | None:
+    """Return the rms heading error of the filter against the ground truth; None without ground truth."""
+    error = heading_error(run)
+    return None if error is None else float(np.degrees(np.sqrt(np.mean(error.error_rad**2))))
+
+
+def turns(run: Run, coefficients: Array) -> Array:
+    """Return the turn of each step (s,) by the gyro with the given coefficients (k,), without the bias.
+
+    Exact for effects that are linear in their coefficients, first order for the others.
+    """
+    history = run.history
+    changed = np.einsum('sk,sk->s', history.columns, coefficients - history.coefficients)
+    return history.turn_rad + history.correction_rad + history.tilt_rad + changed
+
+
+def dead_reckoning(run: Run, coefficients: Array, bias_rad_s: float) -> Trajectory2D:
+    """Return the trajectory by gyro and wheels alone, with fixed coefficients and bias."""
+    history = run.history
+    increments = turns(run, coefficients) + bias_rad_s * history.gyro_valid_s
+    position_m, yaw_rad = planar_trajectory(history.mean[0, YAW], increments, history.distance_m)
+    return Trajectory2D(history.time_s, position_m, yaw_rad)
+
+
+def blind_drift(
+    run: Run,
+    reference: tuple[Heading, str] | None = None,
+    from_s: float = SETTLING_S,
+    span_s: float = SPAN_S,
+    coefficients: Array | None = None,
+) -> BlindDrift:
+    """Compute the heading errors at the ends of spans without the camera, all over the run.
+
+    A span starts with the filter's heading, bias and coefficients of that moment, so nothing was fitted on
+    what follows. Then the gyro is alone, except at rest, where the robot knows that it does not turn. Spans
+    with missing IMU samples do not count, nor do those at whose end the run's own heading is that of the
+    gyro.
+
+    Args:
+        run: a finished run.
+        reference: heading to compare with, and its name; None for the run's own.
+        from_s: earliest beginning of a span.
+        span_s: length of a span.
+        coefficients: (k,) coefficients in place of those that were known at the beginning of each span: the
+            final ones, which were fitted on the spans, too, or those of another recording.
+    """
+    history = run.history
+    time_s, moving = history.time_s, history.resting == 0
+    compared, name = reference if reference is not None else reference_heading(run)
+    # The turn of a step is (without coefficients) + columns @ coefficients, summed up over spans.
+    without = history.turn_rad + history.correction_rad + history.tilt_rad
+    without = without - np.einsum('sk,sk->s', history.columns, history.coefficients)
+    turned = np.cumsum(np.where(moving, without, 0.0))
+    columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
+    gyro_valid_s = np.cumsum(np.where(moving, history.gyro_valid_s, 0.0))
+    latest = min(time_s[-1], compared.time_s[-1]) - span_s
+    start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
+    first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
+    gap_s = np.cumsum(history.gap_s)
+    whole = gap_s[last] == gap_s[first]
+    seen = time_s[last] - last_seen_s(history)[last] <= SEEN_S if name != TRUTH else np.ones_like(whole)
+    counts, unseen = whole & seen, int(np.count_nonzero(whole & ~seen))
+    start_s, first, last = start_s[counts], first[counts], last[counts]
+    known, bias = history.coefficients[first], history.mean[first, YAW_BIAS]
+    if coefficients is not None:
+        bias = bias - np.sum(_rate_at_rest(history)[first] * (coefficients - known), axis=1)
+        known = np.broadcast_to(coefficients, known.shape)
+    by_gyro = turned[last] - turned[first]
+    by_gyro += np.sum((columns[last] - columns[first]) * known, axis=1)
+    by_gyro += bias * (gyro_valid_s[last] - gyro_valid_s[first])
+    heading = np.interp(time_s, compared.time_s, compared.yaw_rad)
+    return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name, unseen)
+
+
+def last_seen_s(history: History) -> Array:
+    """Return the time (s,) at which an image or a heading last told the heading; -inf before the first."""
+    tells = (history.in_view > history.rejected) | (history.dof > 0)
+    latest: Array = np.maximum.accumulate(np.where(tells, history.time_s, -np.inf))
+    return latest
+
+
+def _rate_at_rest(history: History) -> Array:
+    """Return the rate (s, k) that each coefficient gives per unit at the last rest before each step.
+
+    There bias and coefficients together are known: with other coefficients the bias is another one. Zero
+    before the first rest.
+    """
+    is_known = (history.resting != 0) & (history.gyro_valid_s > 0.0)
+    rates = history.columns / np.where(is_known, history.gyro_valid_s, np.inf)[:, None]
+    latest = np.maximum.accumulate(np.where(is_known, np.arange(len(is_known)), 0))
+    latest_rates: Array = rates[latest]
+    return latest_rates
+
+
+def held_out_from_s(run: Run) -> float:
+    """Return the beginning of the held-out spans: the second half, or earlier in a short run.
+
+    Before a change of the scale factor that the filter followed, another one was believed. Without ground
+    truth nothing tells the heading once the images have ended.
+    """
+    history = run.history
+    end_s = float(history.time_s[-1] if run.truth is not None else max(last_seen_s(history)[-1], 0.0))
+    followed = history.scale_followed.nonzero()[0]
+    changed_s = float(history.time_s[followed[-1]]) if len(followed) else 0.0
+    return max(SETTLING_S, changed_s, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
+
+
+def drift_of_both_deg(before: Run, after: Run, from_s: float = 0.0) -> tuple[float, float]:
+    """Return the held-out blind drift of two runs against one reference, that of the second; NaN without.
+
+    Args:
+        before: a finished run.
+        after: another one of the same recording.
+        from_s: earliest beginning of a span, where it is later than that of all held-out spans.
+    """
+    earlier, later = drift_of_both(before, after, from_s)
+    return earlier.rms_deg, later.rms_deg
+
+
+def drift_of_both(before: Run, after: Run, from_s: float = 0.0) -> tuple[BlindDrift, BlindDrift]:
+    """Compute what `drift_of_both_deg` returns the rms of."""
+    reference, start_s = reference_heading(after), max(held_out_from_s(after), from_s)
+    return blind_drift(before, reference, start_s), blind_drift(after, reference, start_s)
+
+
+def better_sigma(before: BlindDrift, after: BlindDrift) -> float:
+    """Return by how many sigma the drift became smaller; NaN where there is no span.
+
+    The logarithm of a mean of squares over n spans has the variance trigamma(n / 2). Errors of the same
+    spans are correlated, so this is conservative.
+    """
+    if not len(before.error_rad) or not len(after.error_rad) or not after.rms_deg > 0.0:
+        return float('nan')
+    scatter = sum(trigamma(0.5 * drift.independent) for drift in (before, after)) ** 0.5
+    return 2.0 * float(np.log(before.rms_deg / after.rms_deg)) / scatter
+
+
+def drifts_more(before: BlindDrift, after: BlindDrift) -> bool:
+    """Return True if the drift is more likely than not to be larger after a noise was added."""
+    return better_sigma(before, after) < -MORE_SIGMA

@@ -1,0 +1,135 @@
+"""Alternatives to what a search found: other combinations of effects that may predict better.
+
+A search adds one effect after the other, each the best beside those before. Where one effect imitates two
+others, it is taken, and with it in the model the two are not found any more.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
+
+import numpy as np
+
+from gyrocal_ros.diagnose.analysis.examined import Calibrate
+from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.search.additions import Addition, Search
+from gyrocal_ros.diagnose.search.elimination import without_addition
+from gyrocal_ros.diagnose.search.look_alikes import look_alikes
+from gyrocal_ros.diagnose.search.one_more import with_one_more
+from gyrocal_ros.diagnose.search.search import continued
+from gyrocal_ros.errors import CANNOT_RUN
+from gyrocal_ros.model.recording import RecordingSummary
+from gyrocal_ros.model.sensor import Effect
+
+LEFT = 0.2
+"""Part of an effect that is left beside another one, below which that one displaces it."""
+
+
+def best_alternative(found: Search, recording: RecordingSummary, calibrate: Calibrate, most: int) -> Search:
+    """Return a search, or the best one that does without an effect which others look like, or displace.
+
+    One effect alone was compared with those that look like it by the search itself.
+
+    Args:
+        found: a finished search.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+        most: number of effects to try.
+    """
+    confused = look_alikes(found) if len(found.kept) > 1 else {}
+    best = found
+    for item in found.kept:
+        other = _displacing(found, item)
+        if item.before is None or not (other or confused.get(item.effect.name)):
+            continue
+        additions = [*found.additions[: found.additions.index(item)]]
+        if other is not None:
+            with suppress(*CANNOT_RUN):
+                additions.append(with_one_more(item.before, other, recording, calibrate))
+        changed = replace(found, additions=tuple(_without(item, additions, recording, calibrate, most)))
+        if _advantage(best, changed) > found.first.settings.min_predictive_gain:
+            best = changed
+    return best
+
+
+def _without(
+    item: Addition,
+    additions: Sequence[Addition],
+    recording: RecordingSummary,
+    calibrate: Calibrate,
+    most: int,
+) -> list[Addition]:
+    """Continue a search from additions, of which the last may take the place of another one."""
+    assert item.before is not None
+    kept = [added.after for added in additions if added.is_kept]
+    present = max([item.before, *kept], key=lambda examined: examined.model.version)
+    return continued(additions, present, recording, calibrate, most, frozenset([item.effect.name]))
+
+
+def _displacing(found: Search, item: Addition) -> Effect | None:
+    """Return the best effect that was left out and leaves almost nothing of one that was added; or None.
+
+    With it the recording is predicted better, yet beside what it displaces it may be rejected.
+    """
+    least = found.first.settings.min_predictive_gain
+    rejected = [
+        other
+        for other in found.additions
+        if not other.is_kept and other.predictive_gain > least and _displaces(other, item)
+    ]
+    return max(rejected, key=lambda other: other.predictive_gain).effect if rejected else None
+
+
+def _displaces(rejected: Addition, kept: Addition) -> bool:
+    """Return True if almost nothing is left of an effect, added earlier, beside one that was rejected."""
+    name = kept.effect.name
+    if rejected.before is None or all(effect.name != name for effect in rejected.before.model.effects):
+        return False
+    before, after = (
+        float(np.linalg.norm(examined.estimate_of(name)[0][kept.strengths]))
+        for examined in (rejected.before, rejected.after)
+    )
+    return after < LEFT * before
+
+
+def searched_again(found: Search, recording: RecordingSummary, calibrate: Calibrate, most: int) -> Search:
+    """Return a search without the effect with which a filter that had diverged ran at all.
+
+    It was the one with which the filter ran best while everything else was missing, so it may stand for what
+    was found later, or for an effect that looks like it. Where the filter runs without it by now, the search
+    goes on from there, and finds it again if it is there.
+
+    Args:
+        found: a finished search.
+        recording: summary of the recording.
+        calibrate: runs the filter.
+        most: number of effects to try.
+    """
+    recovered = next((item for item in found.additions if item.before is None), None)
+    if recovered is None or len(found.kept) < 2:
+        return found
+    removal = without_addition(found.last, recovered, recording, calibrate)
+    if removal is None:
+        return found
+    additions = continued(found.additions, removal.after, recording, calibrate, most + 1)
+    other = replace(found, additions=tuple(additions), removals=(*found.removals, removal))
+    gain = float(predictive_gain(found.last.run, other.last.run).sum())
+    return other if gain > -found.first.settings.min_predictive_gain else found
+
+
+def _advantage(present: Search, other: Search) -> float:
+    """Return the predictive log-likelihood that another search gains, less the price of more effects.
+
+    The price is that of `ranking.best_explanation`: two effects have to be worth it as well. An effect that
+    is only left out, without another in its place, is the elimination's to judge.
+    """
+    settings = present.first.settings
+    names, others = ({item.effect.name for item in search.kept} for search in (present, other))
+    if others <= names:
+        return -math.inf
+    gain = float(predictive_gain(present.last.run, other.last.run).sum())
+    price = settings.coefficient_price + settings.significant_gain
+    return gain - price * (len(others) - len(names))

@@ -29,6 +29,7 @@ from gyrocal_ros.data import (
     ImuSample,
     Measurement,
     Rig,
+    TemperatureSample,
     TruthSample,
     WheelSample,
 )
@@ -87,6 +88,10 @@ def scale_forces(factor: float) -> Callable[[ImuSample], ImuSample]:
     return lambda item: replace(item, specific_force_m_s2=scaled(factor, item.specific_force_m_s2))
 
 
+def scale_yaw(factor: float) -> Callable[[ImuSample], ImuSample]:
+    return lambda item: replace(item, rate_rad_s=(*item.rate_rad_s[:2], factor * item.rate_rad_s[2]))
+
+
 def lean(pitch_deg: float) -> Callable[[ImuSample], ImuSample]:
     pitch = math.radians(pitch_deg)
     force = (-9.8 * math.sin(pitch), 0.0, 9.8 * math.cos(pitch))
@@ -103,6 +108,7 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
     [
         (ImuSample, scale_rates(math.degrees(1.0)), 'unit_degrees', Severity.ERROR),
         (ImuSample, scale_rates(0.0), 'dead_imu', Severity.ERROR),
+        (ImuSample, scale_yaw(1e-4), 'dead_imu', Severity.ERROR),
         (ImuSample, scale_rates(-1.0), 'opposite_turns', Severity.WARNING),
         (ImuSample, scale_rates(1.5), 'turns_disagree', Severity.WARNING),
         (ImuSample, scale_forces(1 / 9.81), 'unit_g', Severity.WARNING),
@@ -125,6 +131,24 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
             FeatureObservations,
             lambda s: FeatureObservations(s.t_ns, s.ids[:2], s.pixels[:2]),
             'few_features',
+            Severity.WARNING,
+        ),
+        (
+            FeatureObservations,
+            lambda s: replace(s, ids=np.zeros_like(s.ids)),
+            'damaged_features',
+            Severity.ERROR,
+        ),
+        (
+            FeatureObservations,
+            lambda s: replace(s, pixels=np.where(s.pixels < 35.5, math.nan, s.pixels)),
+            'not_finite',
+            Severity.WARNING,
+        ),
+        (
+            TemperatureSample,
+            lambda s: replace(s, temperature_c=s.temperature_c + 273.15),
+            'unit_kelvin',
             Severity.WARNING,
         ),
     ],
@@ -169,6 +193,49 @@ def test_delayed_wheels(tmp_path: Path, late_s: float, side: str) -> None:
         )
         # The wheels come every 0.05 s, so that a turn is counted half of that late.
         assert found and float(found[1]) == pytest.approx(abs(late_s + 0.025), abs=0.025)
+
+
+@pytest.mark.parametrize(
+    ('late_s', 'mirrored', 'upward', 'expected'),
+    [
+        (0.0, 1.0, 1.0, []),
+        (0.05, 1.0, -1.0, []),
+        (0.3, 1.0, 1.0, ['delayed_turns']),
+        (-0.2, 1.0, -1.0, ['delayed_turns']),
+        (0.0, -1.0, 1.0, ['opposite_turns']),
+        (0.0, -1.0, -1.0, ['opposite_turns']),
+    ],
+)
+def test_images_that_turn_late_or_the_other_way(
+    tmp_path: Path, late_s: float, mirrored: float, upward: float, expected: list[str]
+) -> None:
+    """A camera that looks up sees the ceiling turn to the right in its image while the robot turns left."""
+
+    def yaw(at_s: float) -> float:
+        return -0.9 * math.cos(0.7 * at_s) - 0.26 * math.cos(1.9 * at_s + 1.0) - 0.1 * math.cos(3.1 * at_s)
+
+    def turned(item: Measurement) -> Measurement:
+        if isinstance(item, ImuSample):
+            rate = (yaw(time_s(item) + 5e-3) - yaw(time_s(item) - 5e-3)) / 0.01
+            return replace(item, rate_rad_s=(*item.rate_rad_s[:2], rate))
+        if isinstance(item, WheelSample):
+            rate = (yaw(time_s(item)) - yaw(time_s(item) - 0.05)) / 0.05
+            return replace(item, yaw_rate_rad_s=rate)
+        if isinstance(item, FeatureObservations):
+            angles = 0.9 * np.arange(6.0) - upward * yaw(time_s(item) - late_s)
+            pixels = np.column_stack([32.0 + mirrored * 20.0 * np.cos(angles), 24.0 + 20.0 * np.sin(angles)])
+            return FeatureObservations(item.t_ns, np.arange(6), pixels)
+        return item
+
+    R_bs = RIG.camera_mount.R_bs if upward > 0.0 else np.diag([1.0, -1.0, -1.0])
+    rig = replace(RIG, camera_mount=replace(RIG.camera_mount, R_bs=R_bs))
+    report = check_bag(write(tmp_path / 'bag', map(turned, drive(60.0)), rig), Config())
+    assert [issue.kind for issue in report.issues] == expected
+    assert all(issue.topic == '/ceiling_camera/features' for issue in report.issues)
+    if late_s in (0.3, -0.2):
+        found = re.match(r'its turns are (.*) s (behind|ahead of) those', report.issues[0].text)
+        assert found and float(found[1]) == pytest.approx(abs(late_s), abs=0.05)
+        assert (found[2] == 'behind') == (late_s > 0.0)
 
 
 def test_degrees_without_wheels_for_comparison(tmp_path: Path) -> None:
@@ -491,6 +558,19 @@ def test_the_command_prints_one_json_object(tmp_path: Path, capsys: pytest.Captu
     assert report['usable'] is True
     assert report['findings'] == []
     assert {topic['role'] for topic in report['topics']} >= {'imu/data_raw', 'wheel/odometry', 'covariate'}
+
+
+@pytest.mark.parametrize('option', [[], ['--json']])
+def test_the_command_fails_where_the_bag_cannot_be_used(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], option: list[str]
+) -> None:
+    path = write(tmp_path / 'bag', with_changed(ImuSample, scale_rates(0.0)))
+    assert main(['check', str(path), *option]) == 2
+    captured = capsys.readouterr()
+    assert 'dead_imu' in captured.out if option else 'error: /imu/data_raw: the gyro' in captured.out
+    assert captured.err == (
+        f'gyrocal: error: {path}: this bag cannot be used for a calibration; mend the errors above\n'
+    )
 
 
 @pytest.mark.parametrize(

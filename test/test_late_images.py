@@ -10,13 +10,14 @@ import pytest
 from synthetic import readings, recording_of, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import NS_PER_S, FeatureObservations
-from gyrocal_ros.diagnose.analysis.late_images import late_images, turn_between
+from gyrocal_ros.data import NS_PER_S, Array, FeatureObservations
+from gyrocal_ros.diagnose.analysis.late_images import late_images
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.search.recovery import first_run
 from gyrocal_ros.diagnose.search.search import search
 from gyrocal_ros.effects import default_model, find_effect
+from gyrocal_ros.model.image_turn import turn_between
 from gyrocal_ros.model.recording import ImageTurns, RecordingSummary
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
@@ -33,6 +34,13 @@ def recorded(offset_s: float, noise_rad: float = 2e-3, scale: float = -0.9) -> R
         np.linspace(0.0, DURATION_S, len(turning_rad_s(DURATION_S))),
         turning_rad_s(DURATION_S),
     )
+    return seen_turning(rate, offset_s, noise_rad, scale)
+
+
+def seen_turning(
+    rate: Array, offset_s: float, noise_rad: float = 2e-3, scale: float = -0.9
+) -> RecordingSummary:
+    """Return the same of a robot that turns with these rates (n,) in rad/s."""
     made = readings(rate, HZ)
     time_s = np.arange(len(rate)) / HZ
     turned = np.cumsum(rate) / HZ
@@ -53,6 +61,18 @@ def test_a_large_offset_is_found_to_hundredths(offset_s: float) -> None:
 @pytest.mark.parametrize('offset_s', [0.0, 0.03, -0.08])
 def test_a_small_offset_is_left_to_the_filter(offset_s: float) -> None:
     assert late_images(recorded(offset_s)) is None
+
+
+@pytest.mark.parametrize('turned_deg', [90.0, -45.0])
+def test_one_turn_shows_a_large_offset_unless_it_is_small(turned_deg: float) -> None:
+    """A robot may turn to one side only, and seldom."""
+    time_s = np.arange(0.0, DURATION_S, 1.0 / HZ)
+    is_turning = (time_s > 20.0) & (time_s < 20.0 + abs(math.radians(turned_deg)))
+    effect = late_images(seen_turning(np.where(is_turning, math.copysign(1.0, turned_deg), 0.0), 0.3))
+    if abs(turned_deg) < 60.0:
+        assert effect is None
+    else:
+        assert effect is not None and effect.coefficients[0].prior_mean == pytest.approx(0.3, abs=0.011)
 
 
 def test_what_the_turns_do_not_show_is_not_claimed() -> None:

@@ -5,11 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 
+from gyrocal_ros.bag.feature_stats import FeatureStats
 from gyrocal_ros.bag.scan import BagScan, TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
-from gyrocal_ros.bag.topic_stats import EventStats, TurnComparison, compare_turns, turn_delay
+from gyrocal_ros.bag.topic_stats import EventStats, TurnComparison, TurnStats, compare_turns, turn_delay
 from gyrocal_ros.data import seconds
 from gyrocal_ros.model.faulty_readings import FaultyGyro
+from gyrocal_ros.msgs import clouds
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 
@@ -47,6 +49,8 @@ MAX_TURN_DELAY_S, DELAY_SIGMA = 0.1, 3.0
 """Delay of the turns of the wheels that is too long, by some of its standard deviations."""
 TURNED_RAD = math.pi / 2.0
 """Total turn of the gyro from which a robot has driven."""
+KELVIN_C = 200.0, 500.0
+"""Readings of a thermometer between which they are in kelvin."""
 MIN_FEATURES = 4.0
 """Minimum of the mean number of features per image."""
 AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the axes in its driver or firmware'
@@ -80,7 +84,8 @@ def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
     wheels = bag.of_role(Role.WHEELS)
     if wheels in stamped:
         for imu in imus:
-            yield from _delay_issues(wheels, imu, bag)
+            turns = bag.turns[wheels.role], imu, bag.imus[imu.topic.name].turns
+            yield from _delay_issues(wheels, *turns, 'or is the odometry filtered?')
     turned_rad = (sum(map(abs, bag.imus[imu.topic.name].turns.left_right_rad)) for imu in imus)
     if wheels and not bag.wheels_move and max(turned_rad, default=0.0) > TURNED_RAD:
         text = 'the encoders read zero throughout, though the gyro turns'
@@ -93,6 +98,42 @@ def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
     if features and bag.feature_count < MIN_FEATURES * features.stamps.count:
         mean = bag.feature_count / features.stamps.count
         yield _issue(features, WARNING, 'few_features', f'{mean:.1f} features an image', 'check the tracker')
+    if features and bag.features:
+        yield from _feature_issues(features, bag.features)
+        for imu in imus if features in stamped else ():
+            yield from _image_turn_issues(features, bag.features, imu, bag.imus[imu.topic.name].turns)
+    temperature = bag.of_role(Role.TEMPERATURE)
+    lowest_c, highest_c = bag.temperatures_c
+    if temperature and KELVIN_C[0] < lowest_c <= highest_c < KELVIN_C[1]:
+        text = f'reads {lowest_c:.0f} to {highest_c:.0f}: kelvin, not degrees Celsius'
+        yield BagIssue(
+            WARNING, 'unit_kelvin', temperature.topic.name, text, 'the driver must publish degrees Celsius'
+        )
+
+
+def _feature_issues(scan: TopicScan, features: FeatureStats) -> Iterator[BagIssue]:
+    """Yield the issues of point clouds that cannot be used, and of features without a place."""
+    if features.damaged:
+        severity = ERROR if features.damaged > MAX_NAN_SHARE * features.count else WARNING
+        text = f'{features.damaged} of {features.count} point clouds cannot be used: {features.reason}'
+        yield _issue(scan, severity, 'damaged_features', text, clouds.REMEDY)
+    if features.lost:
+        text = f'{features.lost} of {features.features} features have no place in the image (NaN, or far off)'
+        yield _issue(scan, WARNING, 'not_finite', text, f'they are left out; {clouds.REMEDY}')
+
+
+def _image_turn_issues(
+    scan: TopicScan, features: FeatureStats, imu: TopicScan, turns: TurnStats
+) -> Iterator[BagIssue]:
+    """Yield the issues of images that turn otherwise than the gyro, or at another time."""
+    if abs(_clock_offset_s(scan, imu)) > MAX_CLOCK_OFFSET_S:
+        return
+    compared = compare_turns(turns, features.turns)
+    if compared and compared.correlation < -MIN_REFERENCE_CORRELATION:
+        text = f'its features turn in the opposite direction to {imu.topic.name}'
+        todo = 'is the image mirrored, or camera or IMU upside down? publish their mounting on /tf_static'
+        yield _issue(scan, WARNING, 'opposite_turns', text, todo)
+    yield from _delay_issues(scan, features.turns, imu, turns, '`gyrocal diagnose` finds the offset')
 
 
 def _compare_with_imu(
@@ -212,6 +253,18 @@ def _imu_issues(
         return
     yield from _faulty_readings(imu, stats.faulty)
     yield from _accelerometer_issues(imu, stats.mean_force_m_s2, stats.tilt_rad)
+    left, right = (turn * DEGREES for turn in stats.turns.left_right_rad)
+    wheels = bag.turns.get(Role.WHEELS)
+    by_wheels_deg = DEGREES * sum(wheels.left_right_rad) if wheels else 0.0
+    if (
+        wheels
+        and by_wheels_deg > FEW_TURNS_DEG
+        and left + right < MIN_TURN_DEG
+        and not stats.turning_axis(wheels)
+    ):
+        text = f'reads a turn of {left + right:.0f} deg in total, the wheels turn {by_wheels_deg:.0f} deg'
+        yield _issue(imu, ERROR, 'dead_imu', text, 'check its z axis, or choose another IMU topic')
+        return
     for scan, compared in comparisons.values():
         if _is_degrees(1.0 / compared.ratio):
             text = f'turns {abs(1.0 / compared.ratio):.0f} times as much as {scan.topic.name}: in degrees?'
@@ -230,7 +283,6 @@ def _imu_issues(
         text = f'reads up to {stats.largest_rate_rad_s:.0f} rad/s: in degrees?'
         yield _issue(imu, ERROR, 'unit_degrees', text, 'the driver must publish rad/s')
         return
-    left, right = (turn * DEGREES for turn in stats.turns.left_right_rad)
     if left + right < MIN_TURN_DEG:
         text = f'the robot turns {left + right:.0f} deg in total: the scale factor is not observable'
         yield _issue(imu, ERROR, 'no_turns', text, TURN_ADVICE)
@@ -278,7 +330,7 @@ def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> I
         yield _issue(scan, WARNING, 'unit_degrees', text, 'the driver must publish rad/s')
     elif compared.correlation < -MIN_REFERENCE_CORRELATION:
         text = f'turns in the opposite direction to {imu.topic.name}'
-        todo = 'is the IMU upside down? publish its mounting on /tf_static'
+        todo = 'are left and right exchanged? is the IMU upside down? publish its mounting on /tf_static'
         yield _issue(scan, WARNING, 'opposite_turns', text, todo)
     elif compared.correlation < MIN_CORRELATION or not 1.0 / MAX_TURN_RATIO < compared.ratio < MAX_TURN_RATIO:
         text = (
@@ -299,16 +351,18 @@ def _turn_issues(scan: TopicScan, imu: TopicScan, compared: TurnComparison) -> I
             yield _issue(scan, WARNING, 'turns_disagree', text, todo)
 
 
-def _delay_issues(wheels: TopicScan, imu: TopicScan, bag: BagScan) -> Iterator[BagIssue]:
-    """Yield an issue of wheels whose turns are stamped at other times than those of the gyro."""
-    if abs(_clock_offset_s(wheels, imu)) > MAX_CLOCK_OFFSET_S:
+def _delay_issues(
+    scan: TopicScan, turns: TurnStats, imu: TopicScan, by_gyro: TurnStats, question: str
+) -> Iterator[BagIssue]:
+    """Yield an issue of a sensor whose turns are stamped at other times than those of the gyro."""
+    if abs(_clock_offset_s(scan, imu)) > MAX_CLOCK_OFFSET_S:
         return  # said already
-    delay = turn_delay(bag.imus[imu.topic.name].turns, bag.turns[wheels.role])
+    delay = turn_delay(by_gyro, turns)
     if delay is not None and abs(delay.delay_s) - DELAY_SIGMA * delay.std_s > MAX_TURN_DELAY_S:
         side = 'behind' if delay.delay_s > 0.0 else 'ahead of'
         text = f'its turns are {abs(delay.delay_s):.2f} s {side} those of {imu.topic.name}'
-        todo = 'let the driver stamp at the measurement, not on arrival; or is the odometry filtered?'
-        yield _issue(wheels, WARNING, 'delayed_turns', text, todo)
+        todo = f'let the driver stamp at the measurement, not on arrival; {question}'
+        yield _issue(scan, WARNING, 'delayed_turns', text, todo)
 
 
 def _is_degrees(ratio: float) -> bool:

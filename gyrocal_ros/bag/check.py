@@ -6,17 +6,19 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gyrocal_ros.bag.assess import assess
+from gyrocal_ros.bag.feature_stats import FeatureStats
 from gyrocal_ros.bag.rig import read_rig, read_static_transforms
 from gyrocal_ros.bag.scan import BagScan, begin_scan
 from gyrocal_ros.bag.selection import Selection, select_topics
 from gyrocal_ros.bag.source import BagSource, open_bag, topic_options
 from gyrocal_ros.bag.storage import Storage, Topic, open_storage
 from gyrocal_ros.config.sections import Config
-from gyrocal_ros.data import nanoseconds, seconds
+from gyrocal_ros.data import Rig, nanoseconds, seconds
 from gyrocal_ros.errors import RecordingError
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity, raise_first_error
@@ -99,7 +101,8 @@ class BagCheck:
             self.issues = list(self._selection.issues)
             """Issues that were found so far, before the messages."""
             links = read_static_transforms(storage, self._selection)
-            self.issues += _camera_issues(storage, self._selection, links, config)
+            self._rig, issues = _read_camera(storage, self._selection, links, config)
+            self.issues += issues
             step_ns = nanoseconds(config.recording.clock_step_s)
             self._scan = begin_scan(storage, self._selection, links, step_ns, self.issues)
             self._topics, self._duration_s = storage.topics, seconds(storage.end_ns - storage.start_ns)
@@ -112,6 +115,14 @@ class BagCheck:
     def add(self, name: str, recorded_ns: int, raw: bytes) -> None:
         """Add a message, with its time of recording."""
         self._scan.add(name, recorded_ns, raw)
+
+    def add_features(self, storage: Storage) -> None:
+        """Decode the features, too, which the other statistics do not need."""
+        topic = self._selection.topics.get(Role.FEATURES)
+        if topic and self._rig:
+            features = self._scan.features = FeatureStats.of(self._rig)
+            for _, _, raw in storage.raw_messages([topic]):
+                features.add(partial(storage.message, topic, raw))
 
     def finish(self) -> None:
         """All messages were added."""
@@ -130,7 +141,7 @@ class BagCheck:
 
 
 def check_bag(path: Path, config: Config, **options: Any) -> CheckReport:
-    """Check a recording in one pass; the arguments are those of `BagCheck`.
+    """Check a recording, its features included; the arguments are those of `BagCheck`.
 
     If the usual topics are missing, the topics that could replace them are checked instead.
 
@@ -142,6 +153,7 @@ def check_bag(path: Path, config: Config, **options: Any) -> CheckReport:
     with open_storage(path) as storage:
         for message in storage.raw_messages(check.used.values()):
             check.add(*message)
+        check.add_features(storage)
     check.finish()
     return check.report()
 
@@ -171,21 +183,23 @@ def checked_bag(path: Path, config: Config, *, with_covariates: bool, **options:
     checked.issues = report.issues
 
 
-def _camera_issues(
+def _read_camera(
     storage: Storage, selection: Selection, links: Sequence[Transform], config: Config
-) -> Iterator[BagIssue]:
-    """Yield the issues of the camera: its calibration, its mount, and the size of its first image."""
-    assumed: list[BagIssue] = []
+) -> tuple[Rig | None, list[BagIssue]]:
+    """Return the camera, with the issues of its calibration, its mount, and the size of its first image."""
+    rig: Rig | None = None
+    issues: list[BagIssue] = []
     topic = selection.topics.get(Role.IMAGE)
     try:
-        rig = read_rig(storage, selection, links, config.camera, assumed)
+        rig = read_rig(storage, selection, links, config.camera, issues)
         if topic and rig.camera:
             from gyrocal_ros.msgs import images  # OpenCV is loaded only for images
 
             images.require_camera_size(images.frame(storage.first_message(topic)), rig.camera, topic.name)
     except RecordingError as error:
-        yield BagIssue(Severity.ERROR, 'camera', topic.name if topic else '', error.what, error.todo)
-    yield from assumed
+        wrong = BagIssue(Severity.ERROR, 'camera', topic.name if topic else '', error.what, error.todo)
+        issues.insert(0, wrong)
+    return rig, issues
 
 
 def _summaries(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
@@ -10,6 +11,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from gyrocal_ros.bag.feature_stats import FeatureStats
 from gyrocal_ros.bag.fields import FieldReader
 from gyrocal_ros.bag.rig import read_imu_rotation
 from gyrocal_ros.bag.selection import Selection
@@ -93,6 +95,10 @@ class BagScan:
     """True if any reading of the encoders is not zero."""
     feature_count: int = 0
     """Number of features in all images together."""
+    features: FeatureStats | None = None
+    """Statistics of the features themselves; None where the point clouds were not decoded."""
+    temperatures_c: tuple[float, float] = (math.inf, -math.inf)
+    """Lowest and highest temperature."""
     _by_topic: dict[str, list[TopicScan]] = field(default_factory=lambda: defaultdict(list))
 
     @property
@@ -157,6 +163,8 @@ def begin_scan(
                 continue  # transforms have no stamp of their own
             conversion = heading_conversion(topic.type_name, selection.heading)
             fields, handle = conversion.fields, _heading_handler(scan, conversion)
+        elif role is Role.TEMPERATURE:
+            fields, handle = (*STAMP_FIELDS, 'temperature'), _temperature_handler(scan)
         elif role is Role.FEATURES:
             fields, handle = (*STAMP_FIELDS, 'width'), _feature_handler(scan)
         reader, stamps = storage.reader_of(topic, fields), StampStats(step_ns)
@@ -201,6 +209,14 @@ def _heading_handler(scan: BagScan, conversion: FieldConversion[HeadingSample]) 
         is_set = np.isfinite(yaws_rad)
         if is_set.any():
             turns.add_headings(stamps_ns[is_set], yaws_rad[is_set])
+
+    return handle
+
+
+def _temperature_handler(scan: BagScan) -> BlockHandler:
+    def handle(stamps_ns: IntArray, numbers: Array) -> None:
+        lowest, highest = scan.temperatures_c
+        scan.temperatures_c = min(lowest, float(numbers.min())), max(highest, float(numbers.max()))
 
     return handle
 

@@ -1,4 +1,7 @@
-"""Report the contents of a bag and its problems: topics, rates, gaps, stamps, units, mounting, turns."""
+"""Report the contents of a bag and its problems: topics, rates, gaps, stamps, units, mounting, turns.
+
+The exit status is 2 where the bag cannot be used for a calibration.
+"""
 
 from __future__ import annotations
 
@@ -9,6 +12,7 @@ from dataclasses import asdict
 from gyrocal_ros.bag.check import CheckReport, TopicSummary, check_bag
 from gyrocal_ros.cli.options import add_bag_options, bag_options, read_config
 from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.errors import RecordingError
 
 EXAMPLE = 'gyrocal check my_bag\ngyrocal check my_bag -r imu/data_raw:=/imu/data --heading-reference /odom'
 
@@ -30,6 +34,10 @@ def run(args: argparse.Namespace) -> None:
         print_json({**values, 'usable': report.usable})
     else:
         print('\n'.join(_text(report)))
+    if not report.usable:
+        raise RecordingError(
+            'this bag cannot be used for a calibration', where=report.name, todo='mend the errors above'
+        )
 
 
 def _text(report: CheckReport) -> Iterator[str]:
@@ -39,8 +47,8 @@ def _text(report: CheckReport) -> Iterator[str]:
     yield ''
     for issue in report.issues:
         yield f'{issue.severity}: {issue}'
-    usable = 'can' if report.usable else 'cannot'
-    yield f'This bag {usable} be used for a calibration.'
+    if report.usable:
+        yield 'This bag can be used for a calibration.'
 
 
 def _row(topic: TopicSummary) -> tuple[str, ...]:

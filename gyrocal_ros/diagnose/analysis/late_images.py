@@ -7,19 +7,15 @@ offset, without a map: two images show the same features, turned.
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 
-from gyrocal_ros.data import NS_PER_S, Array, FeatureObservations
+from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.model.recording import GyroReadings, ImageTurns, RecordingSummary
 from gyrocal_ros.model.sensor import Effect, with_means
 
 OFFSETS_S = np.arange(-200, 201) * 0.01
 """Offsets that are tried."""
-MIN_FEATURES = 3
-"""Number of features that two images have to share."""
 MIN_OFFSET_S = 0.1
 """Least offset that is looked for; the filter finds a smaller one from its start at zero."""
 AGREES = 0.01
@@ -28,23 +24,8 @@ MAX_UNEXPLAINED = 0.1
 """Part of the mean square turn of the image that the gyro may leave unexplained at the best offset."""
 MIN_GAIN = 3.0
 """Factor by which the mean square error at offset zero has to exceed that at the best offset."""
-MIN_TURN_RAD = 1.0
-"""Root of the sum of the squared turns of the image below which nothing can be said."""
-
-
-def turn_between(before: FeatureObservations, after: FeatureObservations) -> float | None:
-    """Return the turn (rad) of the image about the optical axis; None where too few features are shared.
-
-    It is the rotation between two sets of points about their means that fits best (Kabsch 1976).
-    """
-    old, new = before.pixels, after.pixels
-    if not np.array_equal(before.ids, after.ids):  # most images show the features of the one before
-        _, first, second = np.intersect1d(before.ids, after.ids, assume_unique=True, return_indices=True)
-        old, new = old[first], new[second]
-    if len(old) < MIN_FEATURES:
-        return None
-    (a, b), (c, d) = (old - old.sum(axis=0) / len(old)).T, (new - new.sum(axis=0) / len(new)).T
-    return math.atan2(a @ d - b @ c, a @ c + b @ d)
+MIN_TURN_RAD = 0.3
+"""Root of the sum of the squared turns of the image below which nothing can be said: about that of 60 deg."""
 
 
 def late_images(recording: RecordingSummary) -> Effect | None:

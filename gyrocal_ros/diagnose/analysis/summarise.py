@@ -18,8 +18,8 @@ from gyrocal_ros.data import (
     TemperatureSample,
     WheelSample,
 )
-from gyrocal_ros.diagnose.analysis.late_images import turn_between
 from gyrocal_ros.diagnose.analysis.signal_ranges import signal_ranges
+from gyrocal_ros.model.image_turn import turn_between
 from gyrocal_ros.model.recording import (
     SPEED_SIGNAL,
     TEMPERATURE,

@@ -10,7 +10,7 @@ from gyrocal_ros import kernels, statistics
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.advice import CAUTION, advice
 from gyrocal_ros.diagnose.analysis.comparison import Comparison, ModelResult
-from gyrocal_ros.diagnose.analysis.drift import BlindDrift, blind_drift, heading_rms_deg, held_out_from_s
+from gyrocal_ros.diagnose.analysis.drift import BlindDrift, blind_drift, calibrated_from_s, heading_rms_deg
 from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.analysis.ranking import RankedEffect, estimate, estimate_stds
 from gyrocal_ros.diagnose.analysis.regimes import Failure
@@ -64,7 +64,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
         summary['mount_tilt_deg'] = {'value': angle_deg, 'std': std_deg}
     heading_rms = heading_rms_deg(run)
     if heading_rms is not None:
-        from_s = held_out_from_s(run)
+        from_s = calibrated_from_s(run, calibration.convergence_time_s)
         drift = blind_drift(run, from_s=from_s)
         summary['heading_rms_deg'] = heading_rms
         summary['blind_drift_deg'] = {'rms': drift.rms_deg, 'max': drift.max_deg, 'from_s': from_s}

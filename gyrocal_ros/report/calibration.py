@@ -13,9 +13,9 @@ from gyrocal_ros.diagnose.analysis.drift import (
     BlindDrift,
     Trajectory2D,
     blind_drift,
+    calibrated_from_s,
     dead_reckoning,
     heading_error,
-    held_out_from_s,
     slam_path,
     truth_path,
 )
@@ -93,7 +93,7 @@ def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tupl
         f'Gyro calibration of {run.source}',
         f'{calibration.duration_s:.0f} s recorded, model {run.model.name}, gyrocal {__version__}',
         [
-            verdict_box(conclusion(calibration, run, model_fit(run), *_drifts(run))),
+            verdict_box(conclusion(calibration, run, model_fit(run), *_drifts(calibration, run))),
             warnings([*findings, *events_in_words(run)]),
             first_page(run),
             table(
@@ -125,7 +125,7 @@ def conclusion(
     tilt = mount_tilt(run)
     if tilt is not None:
         sentences.append(f'Levelled by gravity, {tilt}; this is corrected.')
-    if len(after.error_rad):
+    if len(after.error_rad) and after.start_s[0] >= (calibration.convergence_time_s or 0.0):
         spread = 'rms' if len(after.error_rad) > 1 else 'in the only span,'
         sentences.append(
             f'With the camera covered, the heading drifts {after.rms_deg:.3g} deg in {after.span_s:.0f} s '
@@ -164,7 +164,7 @@ def calibration_sections(run: Run, calibration: Calibration) -> Iterator[Section
     if truth is not None:
         yield _section('distance', figures.distances(*distances_m(tracks, truth)))
 
-    before, after = _drifts(run)
+    before, after = _drifts(calibration, run)
     if len(after.error_rad) > 2:
         reference = REFERENCES[after.reference]
         drift = drift_by_span({'nominal gyro': before, 'calibrated gyro': after})
@@ -186,9 +186,9 @@ def _section(name: str, figure: Any, half: bool = False, **facts: float | str) -
     return Section(name, figure, CAPTIONS[name].format(**facts), half)
 
 
-def _drifts(run: Run) -> tuple[BlindDrift, BlindDrift]:
+def _drifts(calibration: Calibration, run: Run) -> tuple[BlindDrift, BlindDrift]:
     """Return the blind drift of the nominal and of the calibrated gyro."""
-    from_s = held_out_from_s(run)
+    from_s = calibrated_from_s(run, calibration.convergence_time_s)
     return blind_drift(uncorrected(run), from_s=from_s), blind_drift(run, from_s=from_s)
 
 

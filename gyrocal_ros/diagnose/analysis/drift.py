@@ -281,6 +281,18 @@ def held_out_from_s(run: Run) -> float:
     return max(SETTLING_S, changed_s, min(0.5 * end_s, end_s - SPAN_S - 3.0 * STRIDE_S))
 
 
+def calibrated_from_s(run: Run, convergence_time_s: float | None) -> float:
+    """Return where the held-out spans of a calibrated gyro begin, or all of them if there are none.
+
+    Args:
+        run: a finished run.
+        convergence_time_s: since when its gyro is calibrated; None if it is not.
+    """
+    from_s = held_out_from_s(run)
+    since_s = max(from_s, convergence_time_s or 0.0)
+    return since_s if len(blind_drift(run, from_s=since_s).start_s) else from_s
+
+
 def drift_of_both_deg(before: Run, after: Run, from_s: float = 0.0) -> tuple[float, float]:
     """Return the held-out blind drift of two runs against one reference, that of the second; NaN without.
 

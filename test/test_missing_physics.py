@@ -22,7 +22,7 @@ from gyrocal_ros.cli.diagnose import add_arguments, as_text, next_steps
 from gyrocal_ros.cli.main import main
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import TruthSample
-from gyrocal_ros.diagnose.advice import CAUTION, advice
+from gyrocal_ros.diagnose.advice import CAUTION, FINER_STEPS, advice
 from gyrocal_ros.diagnose.analysis.model_fit import ModelFit
 from gyrocal_ros.diagnose.analysis.shapes import RATE, UnexplainedStructure, shapes
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
@@ -215,7 +215,10 @@ class TestDiagnose:
         last = replace(search_.first, unexplained_structure=strange)
         by_steps = diagnose(replace(search_, first=last, additions=()), coarse)
         assert by_steps.verdict == 'cannot_tell' and by_steps.unexplained is strange
-        assert diagnosis_status(by_steps).sentence.endswith('wider than its noise; these cause the errors.')
+        status = diagnosis_status(by_steps)
+        assert status.sentence.endswith('wider than its noise; these cause the errors.')
+        assert status.next_step == FINER_STEPS and any(FINER_STEPS in text for text in advice(by_steps))
+        assert not any('Look for what links' in text for text in advice(by_steps))
 
     def test_stamps_at_fault_are_mended_first(self, searched: tuple[Search, Diagnosis]) -> None:
         drifting = replace(

@@ -156,10 +156,11 @@ def test_a_diagnosis_tells_a_wrong_yaw_and_judges_neither_camera_nor_wheels(
     found = diagnose(find_missing(default_model(), recorded, run), recorded)
     status = diagnosis_status(found)
     assert found.verdict == 'cannot_tell' and WRONG_YAW in found.wrong_yaw
-    assert status.level != 'green' and 'Neither camera nor wheels can be judged' in status.sentence
-    tilted = SimpleNamespace(effect=find_effect('camera_position'), confused_with=())
-    imitated = diagnosis_status(replace(found, missing=cast('tuple[MissingEffect, ...]', (tilted,))))
-    assert 'camera_position' not in imitated.sentence and imitated.next_step == MEND_YAW
+    assert status.level != 'green' and 'Neither camera, wheels nor noise can be judged' in status.sentence
+    for name in ('camera_position', 'bias_instability'):
+        wrong = SimpleNamespace(effect=find_effect(name), confused_with=())
+        imitated = diagnosis_status(replace(found, missing=cast('tuple[MissingEffect, ...]', (wrong,))))
+        assert name not in imitated.sentence and imitated.next_step == MEND_YAW
     examined = SimpleNamespace(run=run(default_model(), ()))
     nothing = Mock(revisions=(), kept=(), harmful=(), final=Mock(examined=examined))
     of_revisions = 'gyrocal_ros.diagnose.status._status_of_revisions'

@@ -135,7 +135,8 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     usual = [item for item in diagnosis.missing if not (item.is_unusual_noise or item.raises_drift)]
     if diagnosis.wrong_yaw:  # what is found of camera and wheels may be that
         usual, steps = [item for item in usual if item.effect.acts_on not in BY_YAW], [MEND_YAW, *steps]
-    is_judged = diagnosis.timing is None and not diagnosis.fit.mounting
+    has_a_cause = diagnosis.only_steps or (diagnosis.wrong_yaw and not usual)
+    is_judged = diagnosis.timing is None and not diagnosis.fit.mounting and not has_a_cause
     if is_judged and (
         diagnosis.unexplained is not None or diagnosis.fit.misfits or len(usual) < len(diagnosis.missing)
     ):

@@ -19,6 +19,7 @@ MEND_STAMPS = (
     'Stamp images and IMU with one clock, when they are taken, not when they arrive; look at the '
     'synchronisation of the IMU board.'
 )
+FINER_STEPS = 'Give the converter of the gyro a finer range, or use its raw counts.'
 MAX_TWINS = 3
 """Number of effects that are listed in place of one."""
 RECORDED = '.'
@@ -41,7 +42,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
     together = [item.effect.name for item in diagnosis.missing if item.together_with]
     if together:
         sentences.append(f'{join(together)} explain the recording only together: add all of them.')
-    if diagnosis.unexplained is not None:
+    if diagnosis.unexplained is not None and not diagnosis.only_steps:
         sentences += _on_structure(diagnosis.unexplained)
     if diagnosis.proven_limits and diagnosis.verdict != 'nothing_missing':  # there the status says so
         sentences.append(
@@ -52,7 +53,7 @@ def advice(diagnosis: Diagnosis) -> list[str]:
         step = f'{math.degrees(diagnosis.coarse_step_rad_s):.2g} deg/s'
         sentences.append(
             f'The gyro reads in steps of {step}, wider than its noise, so rates between two steps are read '
-            'wrong, however long one waits: give its converter a finer range, or use its raw counts.'
+            f'wrong, however long one waits. {FINER_STEPS}'
         )
     sentences += _what_to_record(diagnosis.not_judged)
     if diagnosis.unexplained is None:  # structure hides what else could have been seen

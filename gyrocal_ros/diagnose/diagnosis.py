@@ -45,7 +45,7 @@ from gyrocal_ros.ekf.history.turn_agreement import camera_yaw_fault
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
-BY_YAW = ('camera', 'wheels', 'ground')
+BY_YAW = ('camera', 'wheels', 'ground', 'noise')
 """Places of effects that a wrong yaw of the camera imitates."""
 
 
@@ -120,6 +120,12 @@ class Diagnosis:
     """Clause on a law that explains nearly as much as a noise that was found; empty without."""
     is_open: bool = False
     """True where no missing effect has been added yet: fit and structure are those of the model without."""
+
+    @property
+    def only_steps(self) -> bool:
+        """True if the quantisation steps of the gyro are all that may cause the errors."""
+        is_coarse = self.coarse_step_rad_s is not None and self.verdict == 'cannot_tell'
+        return is_coarse and not self.missing and self.unexplained is not None
 
     @property
     def unusual_noise(self) -> list[str]:
@@ -201,7 +207,7 @@ def _conclude(
     verdict = _verdict(missing, structure, uneven, not_judged, is_coarse, fit, last.settings)
     yaw = camera_yaw_fault(last.run)
     if yaw and all(item.effect.acts_on in BY_YAW for item in missing):
-        verdict = 'cannot_tell' if verdict in ('nothing_missing', 'effect_found') else verdict
+        verdict = 'cannot_tell' if verdict in ('nothing_missing', 'effect_found', 'noise') else verdict
     is_complete = verdict == 'nothing_missing'
     if is_complete:
         timing = timing or stamp_jitter(last.run)

@@ -11,7 +11,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, TypeAlias
 
-from gyrocal_ros.diagnose.advice import MEND_STAMPS, RECORD, join, limits_in_words, twins_in_words
+from gyrocal_ros.diagnose.advice import (
+    FINER_STEPS,
+    MEND_STAMPS,
+    RECORD,
+    join,
+    limits_in_words,
+    twins_in_words,
+)
 from gyrocal_ros.diagnose.analysis.comparison import Comparison
 from gyrocal_ros.diagnose.analysis.drift import SPAN_S, held_out_from_s
 from gyrocal_ros.diagnose.analysis.model_fit import ModelFit, model_fit
@@ -210,7 +217,7 @@ def _with_wrong_yaw(status: Status, fault: str) -> Status:
     """Return a status that tells of a wrong yaw of the camera first; the status itself without."""
     if not fault:
         return status
-    told = f'{_sentence(fault)} Neither camera nor wheels can be judged until that is mended.'
+    told = f'{_sentence(fault)} Neither camera, wheels nor noise can be judged until that is mended.'
     level: Level = 'yellow' if status.level == 'green' else status.level
     return Status(level, f'{told} {status.sentence}'.rstrip(), MEND_YAW)
 
@@ -220,6 +227,8 @@ def _status_of_effects(diagnosis: Diagnosis, steps: NextSteps) -> Status:
     if diagnosis.verdict == 'nothing_missing':
         next_step = REPEAT if diagnosis.fails_where else (SEE_LIMITS if diagnosis.proven_limits else '')
         return Status('yellow' if next_step else 'green', sentence, next_step)
+    if diagnosis.only_steps:
+        return Status('red' if diagnosis.fit.fits is False else 'yellow', sentence, FINER_STEPS)
     if not diagnosis.is_open and (diagnosis.verdict == 'unexplained' or diagnosis.fit.fits is False):
         return Status('red', sentence, steps.learn)
     if diagnosis.verdict == 'noise' and (diagnosis.unusual_noise or diagnosis.harmful_noise):

@@ -20,7 +20,7 @@ from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.effects.learned.bump import Bump, bumps
 from gyrocal_ros.effects.learned.causes import closest_effect, library_effect, meaning
 from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, Of, prior_stds
-from gyrocal_ros.effects.learned.drives import ABS_RATE, DYNAMICS, LAST_TURN, MOVING, SIDE, START
+from gyrocal_ros.effects.learned.drives import ABS_RATE, ANY_TURN, DYNAMICS, LAST_TURN, MOVING, SIDE, START
 from gyrocal_ros.effects.learned.effect_code import Closed
 from gyrocal_ros.effects.learned.forms import FORMS, Form
 from gyrocal_ros.effects.learned.formula import Formula
@@ -63,6 +63,7 @@ EFFECTS: tuple[GyroEffect, ...] = (
     formula('bias_memory:abs_rate', 'passing', 5.0),
     formula('bias_memory:turn_side', 'at once'),
     formula('bias_memory:last_turn', 'fading exponential', 5.0),
+    formula('bias_memory:any_turn', 'fading exponential', 5.0),
     formula('bias_memory:dynamics', 'second-order lag'),
     formula('scale_memory:start', 'fading hyperbola', 60.0),
     Bump().at((0.2, -0.1, 0.6)),
@@ -205,15 +206,16 @@ def test_a_map_has_the_requested_spread() -> None:
 
 
 class TestMemory:
-    def test_it_fades_with_its_time_constants(self) -> None:
-        """After a turn of one second, the side of the turn decays exponentially."""
-        bank = memory('bias', LAST_TURN)
+    @pytest.mark.parametrize(('drive', 'turning'), [(LAST_TURN, -1.0), (ANY_TURN, 1.0)])
+    def test_it_fades_with_its_time_constants(self, drive: str, turning: float) -> None:
+        """After a turn of one second to the right, its side decays exponentially, or that of any turn."""
+        bank = memory('bias', drive)
         dt_s = np.full(400, 0.01)
         rate = np.where(np.arange(400) < 100, -1.0, 0.0)
         block = replace(posed_block(400), dt_s=dt_s, rate_rad_s=np.stack([0 * rate, 0 * rate, rate], axis=1))
         columns = bank.contribute(block, np.zeros(len(bank.tau_s)), None).by_values
-        assert np.all(columns[:100] == -1.0)
-        np.testing.assert_allclose(columns[-1], -np.exp(-3.0 / bank.tau_s), rtol=1e-9)
+        assert np.all(columns[:100] == turning)
+        np.testing.assert_allclose(columns[-1], turning * np.exp(-3.0 / bank.tau_s), rtol=1e-9)
 
     def test_fast_changes_vanish_in_a_steady_turn(self) -> None:
         bank = memory('bias', DYNAMICS)
@@ -321,7 +323,7 @@ DRIVES: dict[str, tuple[tuple[Of, str], ...]] = {
         ('bias', 'temperature'),
         ('bias', VOLTAGE),
     ),
-    'fading': (('bias', LAST_TURN), ('bias', START), ('scale', START)),
+    'fading': (('bias', LAST_TURN), ('bias', ANY_TURN), ('bias', START), ('scale', START)),
     'dynamics': (('bias', DYNAMICS),),
 }
 MEMORIES = [
@@ -351,7 +353,7 @@ class TestWrittenMemory(GyroEffectContract):
         count, dt_s = 4000, 0.005
         time_s = dt_s * (np.arange(count) + 0.5)
         rate = np.ones(count)
-        if follows == LAST_TURN:
+        if follows in (LAST_TURN, ANY_TURN):
             rate[1:] = 0.0
         if follows == DYNAMICS:
             rate = np.sin(SLOW_RAD_S * time_s)

@@ -330,13 +330,16 @@ class TestClosedFormsOfMemories:
             ('fading of the second order', lambda x: (1.0 + x / 9.0) * np.exp(-x / 9.0)),
         ],
     )
-    def test_how_it_fades_after_a_turn_is_found(self, name: str, fading: Callable[[Array], Array]) -> None:
+    @pytest.mark.parametrize('drive', ['last_turn', 'any_turn'])
+    def test_how_it_fades_after_a_turn_is_found(
+        self, name: str, fading: Callable[[Array], Array], drive: str
+    ) -> None:
         def law(block: MotionBlock) -> Array:
             side, since_s, _ = since_turn(block, None)
-            faded: Array = side * fading(since_s)
+            faded: Array = (np.abs(side) if drive == 'any_turn' else side) * fading(since_s)
             return faded
 
-        found = closed_forms(self.learned('last_turn', law), self.COUNT)[0]
+        found = closed_forms(self.learned(drive, law), self.COUNT)[0]
         assert found.form.name == name and found.fits
         assert found.parameter == pytest.approx(9.0, rel=0.1)
 
@@ -373,6 +376,7 @@ class TestClosedFormsOfMemories:
             ('abs_rate', 'since a unit step of the magnitude of the rate', 'a unit step of the magnitude'),
             (VOLTAGE, f'since a unit step of {VOLTAGE}', f'a unit step of {VOLTAGE}'),
             ('last_turn', 'since the last turn ended', 'after a turn to the left'),
+            ('any_turn', 'since the last turn ended', 'after a turn'),
             ('start', 'since the start', 'after the start'),
             ('dynamics', 'w is the yaw rate', 'where a turn to 1 rad/s sets in'),
         ],

@@ -142,9 +142,9 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
     sentence = f'Calibrated: the scale factor was known to {threshold} after {converged_s:.0f} s'
     left_deg, right_deg = turned_deg(run)
     if min(left_deg, right_deg) < MIN_TURN_DEG:
-        side, other = ('left', 'right') if left_deg > right_deg else ('right', 'left')
-        sentence += f', but the robot turned to the {side} only, so that an asymmetry cannot show.'
-        return Status('yellow', sentence, f'Record turns to the {other}, too.')
+        side = 'right' if left_deg > right_deg else 'left'
+        sentence += f', but the robot hardly turned to the {side}, so that an asymmetry cannot show.'
+        return Status('yellow', sentence, f'Record turns to the {side}, too.')
     if fault:
         return Status('yellow', f'{sentence}, but {fault}.', remedy)
     if (walk := run.history.bias_walk[-1]) >= MUCH_WALK:

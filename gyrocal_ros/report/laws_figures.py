@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm, LearnedCurve, form_over
 from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.curve import Curve
-from gyrocal_ros.effects.learned.drives import START
+from gyrocal_ros.effects.learned.drives import ANY_TURN, START
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.laws import drive_in_words, form_in_words
@@ -55,5 +55,6 @@ def _title_and_axis(effect: Curve | ExponentialBank) -> tuple[str, str]:
     if follows == START:
         return f'The {of} after the start', 'time (s)'
     if effect.over == 'fading':
-        return f'The {of} after a turn to the left', 'time since its end (s)'
+        side = '' if follows == ANY_TURN else ' to the left'
+        return f'The {of} after a turn{side}', 'time since its end (s)'
     return f'The {of} after a unit step of {drive_in_words(follows)}', 'time since the step (s)'

@@ -131,6 +131,11 @@ def _after_turns(block: MotionBlock, values: Array, memory: Memory) -> tuple[Arr
     return values[0] * np.array(column), now
 
 
+def _after_any_turn(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    rates, memory = _after_turns(block, values, memory)
+    return np.abs(rates), memory
+
+
 def _swinging(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
     return values[0] * np.sin(2.0 * np.pi * block.time_s / values[1]), None
 
@@ -280,6 +285,14 @@ STRANGERS: dict[str, Known] = {
             _after_turns,
             ('bias_memory:last_turn', 'bias_memory:turn_side'),
             'Lee, Choi, Park, Myung 2012: drift after turns',
+            ('fading exponential',),
+        ),
+        Stranger(
+            'stranger_any_turn',
+            (_size(0.1 * DEG, 0.5 * DEG), _fixed('time_constant', 's', 5.0, 25.0)),
+            _after_any_turn,
+            ('bias_memory:any_turn',),
+            'relaxation after turns to both sides alike',
             ('fading exponential',),
         ),
         Stranger(

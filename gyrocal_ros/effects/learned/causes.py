@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from gyrocal_ros.effects.learned.drives import (
     ABS_RATE,
+    ANY_TURN,
     DYNAMICS,
     LAST_TURN,
     MOVING,
@@ -38,6 +39,7 @@ _CLOSEST = {
     ('bias', RATE): 'turn_hysteresis',
     ('bias', SIDE): 'turn_hysteresis',
     ('bias', LAST_TURN): 'turn_hysteresis',
+    ('bias', ANY_TURN): 'scale_asymmetry',
     ('bias', ABS_RATE): 'scale_asymmetry',
     ('bias', TEMPERATURE): 'bias_temperature',
     ('bias', MOVING): 'vibration_rectification',
@@ -66,6 +68,7 @@ _MEANINGS_OF_MEMORIES = {
     RATE: 'hysteresis: strain or charge that a turn leaves behind (IEEE Std 528)',
     SIDE: 'hysteresis: strain or charge that a turn leaves behind (IEEE Std 528)',
     LAST_TURN: 'relaxation after a turn (Lee, Choi, Park, Myung 2012)',
+    ANY_TURN: 'relaxation after a turn, or current or heat of the motors in turns',
     ABS_RATE: 'heat of the motors in turns, which reaches the sensor late (Newton: law of cooling)',
     MOVING: 'heat, vibration or supply current of the motors while the robot drives',
     TEMPERATURE: 'the sensing element is warmed later than the thermometer, or a gradient of temperature '

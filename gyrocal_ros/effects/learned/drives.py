@@ -13,7 +13,8 @@ from gyrocal_ros.effects.learned.signals import RATE, values_of
 from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.sensor import Memory
 
-DYNAMICS, ABS_RATE, SIDE, LAST_TURN = 'dynamics', 'abs_rate', 'turn_side', 'last_turn'
+DYNAMICS, ABS_RATE, SIDE = 'dynamics', 'abs_rate', 'turn_side'
+LAST_TURN, ANY_TURN = 'last_turn', 'any_turn'
 MOVING, START = 'moving', 'start'
 TURNING_RAD_S = math.radians(5.0)
 """Rate above which the robot is in a turn."""

@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.curve import Of
-from gyrocal_ros.effects.learned.drives import START
+from gyrocal_ros.effects.learned.drives import ANY_TURN, START
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER, SECOND_ORDER
 from gyrocal_ros.effects.learned.wave import ORDERS, Sine, Wave
@@ -55,7 +55,7 @@ FADING = """        # The side of the last turn, and the time since its end in s
         terms = (
 {terms}
         )
-        return column(*(side * term for term in terms)), memory
+        return column(*({side} * term for term in terms)), memory
 """
 DYNAMICS = """        first, second, memory = derivatives(block, memory)
         return column({derivatives}), memory
@@ -143,7 +143,8 @@ def _remembered(effect: Formula, terms: Sequence[str]) -> Code:
     """Return the code of a form with a memory."""
     form, follows = effect.closed_form, effect.learned.follows
     if form.over == 'fading':
-        helpers, body = 'since_turn', FADING.format(terms=_listed(terms))
+        side = 'abs(side)' if follows == ANY_TURN else 'side'
+        helpers, body = 'since_turn', FADING.format(terms=_listed(terms), side=side)
         x_is = 'x is the time since the last turn'
     elif form.over == 'dynamics':
         helpers, body = (

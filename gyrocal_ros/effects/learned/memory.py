@@ -13,6 +13,7 @@ from gyrocal_ros.effects.fading import fading_memory
 from gyrocal_ros.effects.learned.curve import TYPICAL, UNIT, Of
 from gyrocal_ros.effects.learned.drives import (
     ABS_RATE,
+    ANY_TURN,
     DYNAMICS,
     LAST_TURN,
     MOVING,
@@ -36,18 +37,20 @@ TAUS_S: dict[str, tuple[float, ...]] = {
     ABS_RATE: (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     SIDE: (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     LAST_TURN: (2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
+    ANY_TURN: (2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     MOVING: (0.25, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     START: (15.0, 30.0, 60.0, 120.0, 250.0),
 }
 """What a memory may be driven by, with its time constants: the rate less its low-pass, and that less its own
 low-pass; the rate; its magnitude; the side of the turn (-1, 0, 1); the side of the last turn, decaying after
-it; whether the wheels move (0, 1); a pulse at power-on."""
+it; the same of a turn to any side; whether the wheels move (0, 1); a pulse at power-on."""
 DRIVES = {
     DYNAMICS: 'the rate less its low-pass, and that less its own',
     RATE: 'the rate',
     ABS_RATE: 'the magnitude of the rate',
     SIDE: 'the side of the turn: -1, 0 or 1',
     LAST_TURN: 'the side of the last turn, fading after it',
+    ANY_TURN: 'a turn to any side, fading after it',
     MOVING: 'whether the wheels move: 0 or 1',
     START: 'a pulse at power-on',
 }
@@ -110,7 +113,7 @@ class ExponentialBank(LinearMemoryEffect):
     @property
     def over(self) -> Over:
         """What its response is a function of."""
-        if self.follows in (LAST_TURN, START):
+        if self.follows in (LAST_TURN, ANY_TURN, START):
             return 'fading'
         return 'dynamics' if self.follows == DYNAMICS else 'response'
 
@@ -184,8 +187,9 @@ def _fast_changes(tau_s: Array, rate: Array, dt_s: Array, before: Memory) -> tup
 
 
 def _after_turn(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
-    """Return the side of the last turn, decaying since its end; 1 during the turn."""
+    """Return the side of the last turn, or 1 for any, decaying since its end."""
     side = side_of(block.rate_rad_s[:, 2])[:, None]
+    side = np.abs(side) if bank.follows == ANY_TURN else side
     kept = np.where(side == 0.0, kept_of_steady(block.dt_s, bank.tau_s), 0.0)
     start = before if before is not None else np.zeros(len(bank.tau_s))
     h = low_pass(np.repeat(side, len(bank.tau_s), axis=1), kept, start)
@@ -203,5 +207,6 @@ _BANKS = {
     SIDE: _of_motion,
     MOVING: _of_motion,
     LAST_TURN: _after_turn,
+    ANY_TURN: _after_turn,
     START: _since_start,
 }

@@ -77,6 +77,9 @@ def test_a_law_is_named_beside_an_effect_that_gains_far_more() -> None:
     assert 'the scale goes with heading in the map' in diagnosis_status(found).sentence
 
 
+TWINS = ('gyro_lag', 'camera_time_offset')
+
+
 def law(effect: Effect, *values: float) -> Any:
     """An effect that was learned, with these estimates."""
     estimates = np.array(values or np.zeros(len(effect.coefficients)))
@@ -97,6 +100,11 @@ def law(effect: Effect, *values: float) -> Any:
             law(memory('bias', 'abs_rate')),
             'the bias goes with earlier values of the magnitude of the rate',
             'the magnitude of the rate',
+        ),
+        (
+            law(memory('bias', 'any_turn')),
+            'the bias goes with a turn to any side, fading after it',
+            'a turn to any side, fading after it',
         ),
         (
             law(memory('bias', 'dynamics')),
@@ -178,6 +186,36 @@ def test_two_effects_that_look_alike_or_explain_only_together_are_given_up_for_o
     additions = [Mock(effect=find_effect(name), before=Mock(), together_with=together_with) for name in names]
     searched: Any = Mock(kept=additions, additions=additions)
     assert (name_unknown(searched, None, None) == 'a law alone') == is_law  # type: ignore[arg-type, comparison-overlap]
+
+
+@pytest.mark.parametrize(
+    ('gain', 'is_kept', 'expected'),
+    [
+        (1.0 - MIN_GAIN, True, 'a law alone'),
+        (-1.0 - MIN_GAIN, True, 'a law beside'),
+        (MIN_GAIN - 1.0, False, 'neither'),
+        (MIN_GAIN + 1.0, False, 'a law alone'),
+    ],
+)
+def test_two_effects_that_look_alike_and_need_a_law_beside_them_are_given_up_for_it(
+    gain: float, is_kept: bool, expected: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A bias that fades after turns to any side was called an asymmetry and a quadratic scale beside it."""
+    beside, alone = Mock(is_kept=is_kept, predictive_gain=0.0), Mock(is_kept=True)
+    last = Mock(unexplained_structure=None)
+    kept = [Mock(effect=find_effect(name), before=Mock(), together_with=()) for name in TWINS]
+    searched: Any = Mock(kept=kept, additions=kept, last=last)
+    named = {id(beside): 'a law beside', id(alone): 'a law alone'}
+    monkeypatch.setattr(unknown_law, 'timing_fault', lambda examined: None)
+    monkeypatch.setattr(unknown_law, 'is_missing_something', lambda examined: True)
+    monkeypatch.setattr(unknown_law, 'mounting_fault', lambda run: '')
+    monkeypatch.setattr(unknown_law, '_is_explained', lambda searched: False)
+    monkeypatch.setattr(unknown_law, '_behind_noise', lambda examined: None)
+    monkeypatch.setattr(unknown_law, 'likeliest_law', lambda model, *_: beside if model is last else alone)
+    monkeypatch.setattr(unknown_law, '_gain', lambda before, after: gain)
+    monkeypatch.setattr(unknown_law, '_saying', lambda searched, law: named[id(law)])
+    found: Any = name_unknown(searched, None, None)  # type: ignore[arg-type]
+    assert found == expected if expected != 'neither' else found is searched
 
 
 @pytest.mark.parametrize(

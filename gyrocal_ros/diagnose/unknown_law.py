@@ -62,7 +62,8 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
     The headings of a run that lacks a law are bent by it, so what they seem to follow may be anything. The
     full filter weighs every law in one run, and one more run confirms the likeliest. Several wrong effects
     together may imitate a law: where it predicts as well without them, they are given up. So are an effect of
-    a size that no gyro has, and two that look alike, where a law alone predicts better.
+    a size that no gyro has, and two that look alike, where a law alone predicts better; where they need a law
+    beside them, as well.
 
     Args:
         searched: a finished search in the library.
@@ -77,8 +78,9 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
         return searched
     beside = likeliest_law(last, recording, calibrate) if is_missing else None
     alone = likeliest_law(searched.first, recording, calibrate) if last is not searched.first else None
-    best = _without_leftover(searched) if beside is None or not beside.is_kept else beside.after.run
-    least = MIN_GAIN if is_doubtful else -MIN_GAIN
+    best = beside.after.run if beside is not None and beside.is_kept else _without_leftover(searched)
+    needs_law = beside is not None and beside.is_kept
+    least = MIN_GAIN if is_doubtful and not needs_law else -MIN_GAIN
     if alone is not None and alone.is_kept and _gain(best, alone.after.run) > least:
         recovered = [item for item in searched.additions if item.before is None]
         return _saying(Search(searched.first, tuple(recovered)), alone)
@@ -186,7 +188,7 @@ def structure_of(law: Addition) -> UnexplainedStructure:
     elif isinstance(effect, Wave):
         amplitude = _in_words(of, float(np.hypot(values[0], values[len(values) // 2])))
         what = f'the {of} oscillates with an amplitude of {amplitude} and a period of {effect.period_s:.1f} s'
-    elif isinstance(effect, ExponentialBank) and follows not in (START, DYNAMICS):
+    elif isinstance(effect, ExponentialBank) and effect.over == 'response':
         what = f'the {of} goes with earlier values of {signal}'
     if isinstance(effect, Curve):
         learned = learned_curve(law.after, effect)

@@ -406,7 +406,7 @@ class TestStatus:
         left = replace(run.history, turn_rad=np.maximum(run.history.turn_rad, 0.0))
         status = calibration_status(calibration, replace(run, history=left), FITS)
         assert status.level == 'yellow'
-        assert 'to the left only' in status.sentence and 'right' in status.next_step
+        assert 'hardly turned to the right' in status.sentence and 'right' in status.next_step
 
     def test_green_needs_a_model_that_was_judged(self, run: Run, calibration: Calibration) -> None:
         status = calibration_status(calibration, run, ModelFit((), False))

@@ -136,7 +136,8 @@ def as_text(summary: dict[str, Any]) -> str:
     if 'blind_drift_deg' in summary:
         drift = summary['blind_drift_deg']
         rows.append(('heading', f'{summary["heading_rms_deg"]:.3f} deg rms against the ground truth'))
-        if drift['from_s'] < (summary['convergence_time_s'] or 0.0):
+        is_early = drift['from_s'] < (summary['convergence_time_s'] or 0.0)
+        if is_early and summary['converged']:
             rows.append(('blind drift', 'no 60 s are left after the gyro was calibrated'))
         elif math.isfinite(drift['rms']):
             after = 'after 60 s without the camera, held out'
@@ -145,6 +146,8 @@ def as_text(summary: dict[str, Any]) -> str:
             else:
                 size = f'{drift["rms"]:.2f} deg rms, {drift["max"]:.2f} at worst'
             rows.append(('blind drift', f'{size}, {after}'))
+            if is_early:
+                rows.append(('', f'(spans from {drift["from_s"]:.0f} s on, before the gyro was calibrated)'))
     width = max(len(label) for label, _ in rows)
     lines = [f'{label:{width}}  {text}' for label, text in rows]
     status = Status(**summary['status'])

@@ -64,7 +64,7 @@ def summarise(run: Run, calibration: Calibration) -> dict[str, Any]:
         summary['mount_tilt_deg'] = {'value': angle_deg, 'std': std_deg}
     heading_rms = heading_rms_deg(run)
     if heading_rms is not None:
-        from_s = calibrated_from_s(run, calibration.convergence_time_s)
+        from_s = calibrated_from_s(run, calibration.convergence_time_s if summary['converged'] else None)
         drift = blind_drift(run, from_s=from_s)
         summary['heading_rms_deg'] = heading_rms
         summary['blind_drift_deg'] = {'rms': drift.rms_deg, 'max': drift.max_deg, 'from_s': from_s}

@@ -125,7 +125,7 @@ def conclusion(
     tilt = mount_tilt(run)
     if tilt is not None:
         sentences.append(f'Levelled by gravity, {tilt}; this is corrected.')
-    if len(after.error_rad) and after.start_s[0] >= (calibration.convergence_time_s or 0.0):
+    if len(after.error_rad) and (fit.misfits or after.start_s[0] >= (calibration.convergence_time_s or 0.0)):
         spread = 'rms' if len(after.error_rad) > 1 else 'in the only span,'
         sentences.append(
             f'With the camera covered, the heading drifts {after.rms_deg:.3g} deg in {after.span_s:.0f} s '
@@ -188,7 +188,7 @@ def _section(name: str, figure: Any, half: bool = False, **facts: float | str) -
 
 def _drifts(calibration: Calibration, run: Run) -> tuple[BlindDrift, BlindDrift]:
     """Return the blind drift of the nominal and of the calibrated gyro."""
-    from_s = calibrated_from_s(run, calibration.convergence_time_s)
+    from_s = calibrated_from_s(run, calibration.convergence_time_s if calibration.converged else None)
     return blind_drift(uncorrected(run), from_s=from_s), blind_drift(run, from_s=from_s)
 
 

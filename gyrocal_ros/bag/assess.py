@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from gyrocal_ros.bag.feature_stats import FeatureStats
 from gyrocal_ros.bag.scan import BagScan, TopicScan
@@ -81,37 +81,50 @@ def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
             yield from _synchronisation_issues(scan, imus[0], reorder_window_s)
     for imu in imus:
         yield from _imu_issues(imu, bag, _compare_with_imu(imu, stamped, bag))
-    wheels = bag.of_role(Role.WHEELS)
-    if wheels in stamped:
-        for imu in imus:
-            turns = bag.turns[wheels.role], imu, bag.imus[imu.topic.name].turns
-            yield from _delay_issues(wheels, *turns, 'or is the odometry filtered?')
-    turned_rad = (sum(map(abs, bag.imus[imu.topic.name].turns.left_right_rad)) for imu in imus)
-    if wheels and not bag.wheels_move and max(turned_rad, default=0.0) > TURNED_RAD:
-        text = 'the encoders read zero throughout, though the gyro turns'
-        yield _issue(wheels, WARNING, 'dead_wheels', text, 'check their wires and their driver')
-    if wheels and (count := bag.wheels.spikes):
-        noun = 'speed is' if count == 1 else 'speeds are'
-        text = f'{count} {noun} far from those before and after'
-        yield _issue(wheels, WARNING, 'spikes', text, 'they are replaced; check the wires of the encoders')
-    features = bag.of_role(Role.FEATURES)
-    if features and bag.feature_count < MIN_FEATURES * features.stamps.count:
-        mean = bag.feature_count / features.stamps.count
-        yield _issue(features, WARNING, 'few_features', f'{mean:.1f} features an image', 'check the tracker')
-    if features and bag.features:
-        yield from _feature_issues(features, bag.features)
-        for imu in imus if features in stamped else ():
-            yield from _image_turn_issues(features, bag.features, imu, bag.imus[imu.topic.name].turns)
+    wheels, features = bag.of_role(Role.WHEELS), bag.of_role(Role.FEATURES)
     temperature = bag.of_role(Role.TEMPERATURE)
+    if wheels:
+        yield from _wheel_issues(wheels, imus, bag, is_stamped=wheels in stamped)
+    if features:
+        yield from _feature_issues(features, imus, bag, is_stamped=features in stamped)
     lowest_c, highest_c = bag.temperatures_c
     if temperature and KELVIN_C[0] < lowest_c <= highest_c < KELVIN_C[1]:
         text = f'reads {lowest_c:.0f} to {highest_c:.0f}: kelvin, not degrees Celsius'
-        yield BagIssue(
-            WARNING, 'unit_kelvin', temperature.topic.name, text, 'the driver must publish degrees Celsius'
-        )
+        todo = 'the driver must publish degrees Celsius'
+        yield BagIssue(WARNING, 'unit_kelvin', temperature.topic.name, text, todo)
 
 
-def _feature_issues(scan: TopicScan, features: FeatureStats) -> Iterator[BagIssue]:
+def _wheel_issues(
+    wheels: TopicScan, imus: Sequence[TopicScan], bag: BagScan, *, is_stamped: bool
+) -> Iterator[BagIssue]:
+    """Yield the issues of wheels that are late or dead, and of their readings."""
+    for imu in imus if is_stamped else ():
+        turns = bag.turns[wheels.role], imu, bag.imus[imu.topic.name].turns
+        yield from _delay_issues(wheels, *turns, 'or is the odometry filtered?')
+    turned_rad = (sum(map(abs, bag.imus[imu.topic.name].turns.left_right_rad)) for imu in imus)
+    if not bag.wheels_move and max(turned_rad, default=0.0) > TURNED_RAD:
+        text = 'the encoders read zero throughout, though the gyro turns'
+        yield _issue(wheels, WARNING, 'dead_wheels', text, 'check their wires and their driver')
+    if count := bag.wheels.spikes:
+        noun = 'speed is' if count == 1 else 'speeds are'
+        text = f'{count} {noun} far from those before and after'
+        yield _issue(wheels, WARNING, 'spikes', text, 'they are replaced; check the wires of the encoders')
+
+
+def _feature_issues(
+    features: TopicScan, imus: Sequence[TopicScan], bag: BagScan, *, is_stamped: bool
+) -> Iterator[BagIssue]:
+    """Yield the issues of features: few, damaged, without a place, or turning otherwise than the gyro."""
+    if bag.feature_count < MIN_FEATURES * features.stamps.count:
+        mean = bag.feature_count / features.stamps.count
+        yield _issue(features, WARNING, 'few_features', f'{mean:.1f} features an image', 'check the tracker')
+    if bag.features:
+        yield from _damaged_features(features, bag.features)
+        for imu in imus if is_stamped else ():
+            yield from _image_turn_issues(features, bag.features, imu, bag.imus[imu.topic.name].turns)
+
+
+def _damaged_features(scan: TopicScan, features: FeatureStats) -> Iterator[BagIssue]:
     """Yield the issues of point clouds that cannot be used, and of features without a place."""
     if features.damaged:
         severity = ERROR if features.damaged > MAX_NAN_SHARE * features.count else WARNING

@@ -78,9 +78,9 @@ def name_unknown(searched: Search, recording: RecordingSummary, calibrate: Calib
         return searched
     beside = likeliest_law(last, recording, calibrate) if is_missing else None
     alone = likeliest_law(searched.first, recording, calibrate) if last is not searched.first else None
-    best = beside.after.run if beside is not None and beside.is_kept else _without_leftover(searched)
-    needs_law = beside is not None and beside.is_kept
-    least = MIN_GAIN if is_doubtful and not needs_law else -MIN_GAIN
+    needed = beside if beside is not None and beside.is_kept else None
+    best = _without_leftover(searched) if needed is None else needed.after.run
+    least = MIN_GAIN if is_doubtful and needed is None else -MIN_GAIN
     if alone is not None and alone.is_kept and _gain(best, alone.after.run) > least:
         recovered = [item for item in searched.additions if item.before is None]
         return _saying(Search(searched.first, tuple(recovered)), alone)

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from gyrocal_ros.bag.assess import assess
 from gyrocal_ros.bag.feature_stats import FeatureStats
@@ -24,6 +24,16 @@ from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity, raise_first_error
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
+
+RawMessages: TypeAlias = Iterable[tuple[str, int, bytes]]
+"""Messages by topic, time of recording and bytes."""
+Shown: TypeAlias = Callable[[RawMessages, int], RawMessages]
+"""Function that passes messages on, of which there are so many, and shows how far they are."""
+
+
+def not_shown(messages: RawMessages, count: int) -> RawMessages:
+    """Pass messages on, and show nothing."""
+    return messages
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,13 +126,12 @@ class BagCheck:
         """Add a message, with its time of recording."""
         self._scan.add(name, recorded_ns, raw)
 
-    def add_features(self, storage: Storage) -> None:
-        """Decode the features, too, which the other statistics do not need."""
+    def begin_features(self) -> tuple[Topic | None, FeatureStats | None]:
+        """Return the topic of features, whose messages are to be decoded as well, and their statistics."""
         topic = self._selection.topics.get(Role.FEATURES)
         if topic and self._rig:
-            features = self._scan.features = FeatureStats.of(self._rig)
-            for _, _, raw in storage.raw_messages([topic]):
-                features.add(partial(storage.message, topic, raw))
+            self._scan.features = FeatureStats.of(self._rig)
+        return topic, self._scan.features
 
     def finish(self) -> None:
         """All messages were added."""
@@ -140,10 +149,16 @@ class BagCheck:
         )
 
 
-def check_bag(path: Path, config: Config, **options: Any) -> CheckReport:
-    """Check a recording, its features included; the arguments are those of `BagCheck`.
+def check_bag(path: Path, config: Config, shown: Shown = not_shown, **options: Any) -> CheckReport:
+    """Check a recording in one pass, its features included; the other arguments are those of `BagCheck`.
 
     If the usual topics are missing, the topics that could replace them are checked instead.
+
+    Args:
+        path: the recording.
+        config: the settings.
+        shown: shows the progress over the messages, of which there are so many.
+        options: see `BagCheck`.
 
     Raises:
         RecordingError: there is no such recording, or it is damaged.
@@ -151,9 +166,12 @@ def check_bag(path: Path, config: Config, **options: Any) -> CheckReport:
     """
     check = BagCheck(path, config, **options)
     with open_storage(path) as storage:
-        for message in storage.raw_messages(check.used.values()):
-            check.add(*message)
-        check.add_features(storage)
+        topic, features = check.begin_features()
+        count = sum(used.count for used in check.used.values())
+        for name, recorded_ns, raw in shown(storage.raw_messages(check.used.values()), count):
+            check.add(name, recorded_ns, raw)
+            if topic and features and name == topic.name:
+                features.add(partial(storage.message, topic, raw))
     check.finish()
     return check.report()
 

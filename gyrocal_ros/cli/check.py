@@ -9,9 +9,9 @@ import argparse
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 
-from gyrocal_ros.bag.check import CheckReport, TopicSummary, check_bag
+from gyrocal_ros.bag.check import CheckReport, RawMessages, TopicSummary, check_bag
 from gyrocal_ros.cli.options import add_bag_options, bag_options, read_config
-from gyrocal_ros.cli.output import print_json
+from gyrocal_ros.cli.output import print_json, progress
 from gyrocal_ros.errors import RecordingError
 
 EXAMPLE = 'gyrocal check my_bag\ngyrocal check my_bag -r imu/data_raw:=/imu/data --heading-reference /odom'
@@ -27,7 +27,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     """Check the bag and print the report."""
-    report = check_bag(args.bag, read_config(args), **bag_options(args))
+
+    def shown(messages: RawMessages, count: int) -> RawMessages:
+        return progress('checking', messages, total=count, unit=' messages')
+
+    report = check_bag(args.bag, read_config(args), shown, **bag_options(args))
     if args.json:
         values = asdict(report)
         values['findings'] = values.pop('issues')

@@ -89,11 +89,12 @@ def calibration_page(run: Run, calibration: Calibration, findings: Sequence[tupl
         calibration: its result.
         findings: severity and text of the issues of the recording.
     """
+    fit = model_fit(run)
     return document(
         f'Gyro calibration of {run.source}',
         f'{calibration.duration_s:.0f} s recorded, model {run.model.name}, gyrocal {__version__}',
         [
-            verdict_box(conclusion(calibration, run, model_fit(run), *_drifts(calibration, run))),
+            verdict_box(conclusion(calibration, run, fit, *_drifts(calibration, run, fit))),
             warnings([*findings, *events_in_words(run)]),
             first_page(run),
             table(
@@ -164,7 +165,7 @@ def calibration_sections(run: Run, calibration: Calibration) -> Iterator[Section
     if truth is not None:
         yield _section('distance', figures.distances(*distances_m(tracks, truth)))
 
-    before, after = _drifts(calibration, run)
+    before, after = _drifts(calibration, run, model_fit(run))
     if len(after.error_rad) > 2:
         reference = REFERENCES[after.reference]
         drift = drift_by_span({'nominal gyro': before, 'calibrated gyro': after})
@@ -186,9 +187,10 @@ def _section(name: str, figure: Any, half: bool = False, **facts: float | str) -
     return Section(name, figure, CAPTIONS[name].format(**facts), half)
 
 
-def _drifts(calibration: Calibration, run: Run) -> tuple[BlindDrift, BlindDrift]:
+def _drifts(calibration: Calibration, run: Run, fit: ModelFit) -> tuple[BlindDrift, BlindDrift]:
     """Return the blind drift of the nominal and of the calibrated gyro."""
-    from_s = calibrated_from_s(run, calibration.convergence_time_s if calibration.converged else None)
+    is_calibrated = calibration.converged and not fit.misfits
+    from_s = calibrated_from_s(run, calibration.convergence_time_s if is_calibrated else None)
     return blind_drift(uncorrected(run), from_s=from_s), blind_drift(run, from_s=from_s)
 
 

@@ -4,6 +4,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 DOCS := $(VENV)/.docs
+# Files in the order of test/conftest.py: that by number of tests leaves the few long tests of the browser to the end.
+PYTEST := $(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
 
 # The first interpreter that is new enough and can make virtual environments. That of the distribution comes first:
 # it is built with optimisation, and on Ubuntu it is that of ROS.
@@ -16,12 +18,13 @@ unexport PYTHONPATH
 unexport PYTHONDONTWRITEBYTECODE
 export PIP_DISABLE_PIP_VERSION_CHECK := 1
 
-.PHONY: help venv demo test quick gate audit lint types format docs transcripts clean
+.PHONY: help venv demo test quick thorough gate audit lint types format docs transcripts clean
 
 help:
 	@echo 'make demo    calibrate on the bag that comes with the package'
 	@echo 'make test    run the tests'
 	@echo 'make quick   run the tests that are not marked slow'
+	@echo 'make thorough  run the long ones: whole diagnoses whose parts `make test` tests'
 	@echo 'make gate    hold accuracy and consistency against the figures that are kept'
 	@echo 'make lint    ruff: rules and formatting'
 	@echo 'make types   mypy'
@@ -44,12 +47,14 @@ venv: $(READY)
 demo: $(READY)
 	$(BIN)/gyrocal demo
 
-# Files in the order of test/conftest.py: that by number of tests leaves the few long tests of the browser to the end.
 test: $(READY)
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder
+	$(PYTEST) -m 'not thorough'
 
 quick: $(READY)
-	$(BIN)/python -m pytest -n auto --dist loadfile --no-loadscope-reorder -m 'not slow'
+	$(PYTEST) -m 'not slow'
+
+thorough: $(READY)
+	$(PYTEST) -m thorough
 
 audit: $(READY)
 	$(BIN)/python -m pip install --quiet pip-audit

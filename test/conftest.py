@@ -66,7 +66,7 @@ def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if item.path.parent in (ROS_TESTS, BROWSER_TESTS):
+        if item.path.parent in (ROS_TESTS, BROWSER_TESTS) or item.get_closest_marker('thorough'):
             item.add_marker(pytest.mark.slow)
     # The files with the most slow tests come first: none is left for one worker alone at the end.
     slow = Counter(item.path for item in items if item.get_closest_marker('slow'))

@@ -321,7 +321,7 @@ def test_a_trial_holds_what_was_hidden_and_what_was_found(short: BlindResult) ->
     assert short.drift_after_deg < short.drift_before_deg
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_trial_with_images_finds_the_effect_from_tracked_features() -> None:
     scenario = replace(find_scenario('cleaning'), duration_s=40.0, imu_hz=100)
     with pytest.MonkeyPatch.context() as patch:

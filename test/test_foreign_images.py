@@ -41,6 +41,7 @@ def with_asymmetry(size: float, scale_factor: float) -> Callable[[ImuSample], Im
     return read
 
 
+@pytest.mark.thorough
 def test_an_asymmetry_is_found_though_there_are_few_turns() -> None:
     """A minute has four or five turns, so the scatter of the stretches says little; a run decides."""
     size, scale_factor = 0.003, json.loads((BAGS / 'clean.truth.json').read_text())['scale_factor']
@@ -59,6 +60,7 @@ def test_an_asymmetry_is_found_though_there_are_few_turns() -> None:
     assert found.last.run.state.coefficients[0] == pytest.approx(scale_factor - 1.0, abs=1e-4)
 
 
+@pytest.mark.thorough
 def test_a_recording_without_a_missing_effect_converges() -> None:
     run = calibrate(open_bag(BAGS / 'soft', Config()), Config(), default_model(), follows_changes=True)
     calibration = conclude(run)

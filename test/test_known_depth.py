@@ -47,7 +47,7 @@ def driven(seed: int) -> tuple[History, SimSource]:
     """Return the history of a run on exact features, and its source."""
     scenario = find_scenario('cleaning')
     errors = replace(scenario.errors, pixel_noise_px=PATCH_NOISE_PX)
-    source = SimSource(replace(scenario, duration_s=60.0, errors=errors), seed)
+    source = SimSource(replace(scenario, duration_s=60.0, imu_hz=100, camera_hz=6, errors=errors), seed)
     return calibrate(source, Config(), default_model()).history, source
 
 

@@ -443,6 +443,7 @@ class TestLearning:
         assert learned.searched.kept == ()
         assert [item.effect.name for item in learned.ranked] == ['bias_curve:force_y']
 
+    @pytest.mark.thorough
     def test_a_jump_of_the_scale_is_dated(self) -> None:
         source = recording(DrawnEffect('stranger_scale_jump', (0.02, 70.0)))
         recorded = summarise_recording(source)
@@ -454,7 +455,7 @@ class TestLearning:
         assert added.after.run.state.coefficients[1] == pytest.approx(0.02, rel=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures('library')
 def test_the_period_of_a_swing_is_refined(tmp_path: Path) -> None:
     """The spectrum of the errors tells it to some per cent; the likelihood does much better."""
@@ -471,7 +472,7 @@ def test_the_period_of_a_swing_is_refined(tmp_path: Path) -> None:
     assert_replaceable(learned, recorded, source, tmp_path / 'own.py', 'law_bias_time_sine')
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures('library')
 def test_a_bias_at_a_place_is_learned_as_a_bump(tmp_path: Path) -> None:
     source = recording(DrawnEffect('stranger_place', (0.6 * DEG, 0.5)), seconds=240.0)
@@ -493,7 +494,7 @@ def test_a_bias_at_a_place_is_learned_as_a_bump(tmp_path: Path) -> None:
     assert_replaceable(learned, recorded, source, tmp_path / 'own.py', 'law_bias_place_bump')
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.usefixtures('library')
 def test_a_square_of_the_centripetal_acceleration_is_learned_as_such() -> None:
     source = recording(DrawnEffect('stranger_square_force', (10.0 * DEG,)))
@@ -793,7 +794,9 @@ def test_the_command_learns_and_writes(tmp_path: Path, capsys: Output) -> None:
 @pytest.mark.parametrize(
     ('hidden', 'drive'),
     [
-        (DrawnEffect('stranger_turn_heat', (0.015, 12.0)), 'abs_rate'),
+        pytest.param(
+            DrawnEffect('stranger_turn_heat', (0.015, 12.0)), 'abs_rate', marks=pytest.mark.thorough
+        ),
         (DrawnEffect('turn_hysteresis', (0.01, 8.0)), 'rate'),
     ],
 )

@@ -132,7 +132,7 @@ def test_noise_is_a_verdict_of_its_own() -> None:
         assert ('the robot drifts more with it' in status.sentence) != is_advised
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_noise_is_found_beside_an_effect_that_explains_more() -> None:
     late = hide((DrawnEffect('camera_time_offset', (0.02,)),), find_effect)
     found = diagnosed(recording('bias_instability', 0.015 * DEG, seconds=150.0, also=late))
@@ -141,7 +141,7 @@ def test_noise_is_found_beside_an_effect_that_explains_more() -> None:
     assert found.missing[1].values[0] == pytest.approx(0.015 * DEG, rel=0.4)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_bias_that_jumps_to_and_fro_is_noise() -> None:
     """It drifts more with the noise, for the bias is followed faster, but no more than the noise explains."""
     source = recording('', seconds=80.0, also=(HiddenEffect(TwoLevels(), (0.6 * DEG,)),))
@@ -430,7 +430,7 @@ def test_noise_beside_what_was_found_and_noise_in_its_place(
     assert [item.effect.name for item in found.kept] == named
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_an_unknown_law_is_not_taken_for_noise() -> None:
     found = diagnosed(recording('stranger_heading', 0.3 * DEG, 0.7, seconds=80.0))
     assert found.verdict in ('unexplained', 'cannot_tell')

@@ -44,7 +44,7 @@ def test_the_low_pass_is_that_of_linear_pieces() -> None:
 @cache
 def behind(time_constant_s: float, kind: str = 'mocap') -> tuple[InMemorySource, ReferenceSource]:
     """Return a recording whose headings passed a low pass, and the one without."""
-    scenario = replace(find_scenario('cleaning'), duration_s=DURATION_S, imu_hz=100)
+    scenario = replace(find_scenario('cleaning'), duration_s=DURATION_S, imu_hz=100, camera_hz=5)
     sharp = ReferenceSource(SimSource(scenario, 4), kind)
     source = InMemorySource(sharp.name, sharp.rig, sharp.span, list(sharp.measurements()))
     if time_constant_s == 0.0:

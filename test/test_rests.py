@@ -86,7 +86,7 @@ def test_a_robot_that_sways_at_its_first_rest_knows_its_bias_the_less() -> None:
     def bias_std(source: Source) -> float:
         return float(conclude(calibrate(source, Config(), default_model())).stds[0])
 
-    drive = replace(find_scenario('cleaning'), duration_s=40.0, imu_hz=100)
+    drive = replace(find_scenario('cleaning'), duration_s=40.0, imu_hz=100, camera_hz=5)
     stds = [
         [bias_std(kind(SimSource(drive, seed), 'lidar')) for kind in (ReferenceSource, Swaying)]
         for seed in ROBOTS

@@ -30,7 +30,8 @@ SLIPS_S, SLIP_S = (15.0, 40.0, 52.0), 3.0
 
 def driven(changed: Callable[[Measurement, float], Measurement], seed: int = 1) -> tuple[Run, SimSource]:
     """Return a run and its source, with measurements changed, given their times (s)."""
-    simulated = SimSource(replace(find_scenario('cleaning'), duration_s=70.0), seed)
+    scenario = replace(find_scenario('cleaning'), duration_s=70.0, imu_hz=100, camera_hz=8)
+    simulated = SimSource(scenario, seed)
     start_ns = simulated.span.start_ns
     measured = [changed(item, (item.t_ns - start_ns) / NS_PER_S) for item in simulated.measurements()]
     source = InMemorySource('slip', simulated.rig, simulated.span, measured)

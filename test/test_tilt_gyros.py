@@ -14,6 +14,7 @@ from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.pipeline.calibrate import calibrate
+from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.drives import TEST_DRIVES
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.sensors import SensorErrors, without_noise
@@ -29,14 +30,16 @@ def rough_floor(
 ) -> SimSource:
     drive = TEST_DRIVES['rough']
     tilted = replace(errors or drive.errors, x_scale_error=x_scale_error, y_scale_error=y_scale_error)
-    return SimSource(replace(drive, duration_s=100.0, errors=tilted), seed=0, hidden=hidden)
+    slow = replace(drive, duration_s=100.0, imu_hz=100, camera_hz=5, errors=tilted)
+    return SimSource(slow, seed=0, hidden=hidden)
 
 
 def diagnosed(source: SimSource, tilt_scale_std: float) -> Diagnosis:
     config = replace(Config(), gyro=replace(Config().gyro, tilt_scale_std=tilt_scale_std))
-    recorded = summarise_recording(source)
+    kept, _ = preload(source, config, default_model())
+    recorded = summarise_recording(kept)
     searched = find_missing(
-        default_model(), recorded, lambda model, tried: calibrate(source, config, model, candidates=tried)
+        default_model(), recorded, lambda model, tried: calibrate(kept, config, model, candidates=tried)
     )
     return diagnose(searched, recorded)
 

@@ -69,7 +69,7 @@ def test_without_parallax_there_is_no_track() -> None:
     assert track_row([errors])['tracks'] == 0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_tracks_of_another_simulator_are_accurate() -> None:
     if not BAGS.exists():
         pytest.skip('no foreign-images beside the project')

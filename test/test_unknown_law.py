@@ -51,10 +51,16 @@ def diagnosed(*drawn: DrawnEffect, seconds: float = 80.0) -> Diagnosis:
 @pytest.mark.parametrize(
     ('name', 'values', 'signal'),
     [
-        ('stranger_heading', (1.2 * DEG, 0.7), 'heading in the map (deg)'),
-        ('stranger_scale_heading', (0.03, 0.5), 'heading in the map (deg)'),
+        pytest.param(
+            *('stranger_heading', (1.2 * DEG, 0.7), 'heading in the map (deg)'),
+            id='so large that the filter diverges',
+            marks=pytest.mark.thorough,
+        ),
+        pytest.param(
+            *('stranger_scale_heading', (0.03, 0.5), 'heading in the map (deg)'),
+            id='whose headings seem to follow the time',
+        ),
     ],
-    ids=['so large that the filter diverges', 'whose headings seem to follow the time'],
 )
 def test_the_signal_of_an_unknown_law_is_named(name: str, values: tuple[float, ...], signal: str) -> None:
     found = diagnosed(DrawnEffect(name, values))
@@ -64,7 +70,7 @@ def test_the_signal_of_an_unknown_law_is_named(name: str, values: tuple[float, .
     assert status.level == 'red' and f'goes with {signal}' in status.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_a_law_is_named_beside_an_effect_that_gains_far_more() -> None:
     late, strange = (
         DrawnEffect('camera_time_offset', (0.05,)),

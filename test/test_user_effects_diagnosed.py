@@ -84,6 +84,8 @@ CASES = {
     'of the images, that breaks it': Case('camera_time_offset', (0.25,), seed=4, duration_s=60.0),
     'observable with a lever only': Case('wheel_scale', (0.2,), seed=4),
 }
+LONG = ('that breaks the filter', 'a limit that a run confirms')
+"""Cases whose search has many runs."""
 
 
 @contextmanager
@@ -211,7 +213,13 @@ def without_columns_at(text: str) -> str:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize('case', CASES.values(), ids=CASES)
+@pytest.mark.parametrize(
+    'case',
+    [
+        pytest.param(case, id=name, marks=[pytest.mark.thorough] * (name in LONG))
+        for name, case in CASES.items()
+    ],
+)
 def test_a_copy_is_diagnosed_as_the_effect_itself(case: Case, tmp_path: Path) -> None:
     expected = built_in(case)
     assert [item['name'] for item in expected['missing']] == [case.name]
@@ -231,7 +239,7 @@ def test_a_copy_without_columns_at_is_diagnosed_as_well(name: str, tmp_path: Pat
         assert_same(outcome(case), expected)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_filter_recovers_with_a_copy() -> None:
     """The case of the table in which the first run diverges is one of recovery."""
     (added,) = built_in(CASES['that breaks the filter'])['additions']

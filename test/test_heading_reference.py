@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array, ClockStep, HeadingSample, ImuSample, Measurement
-from gyrocal_ros.effects import default_model
+from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.errors import NotObservableError
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.heading_reference import fit_reference
 from gyrocal_ros.pipeline.reference_fit import ReferenceFit
+from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.references import ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.sensors import SensorErrors
@@ -165,3 +166,13 @@ def test_the_bias_is_as_doubtful_as_the_gyro_is_noisy() -> None:
 
     quiet, usual, noisy = bias_std(0.4), bias_std(1.0), bias_std(3.0)
     assert quiet < 0.8 * usual and noisy > 2.0 * usual
+
+
+def test_what_the_temperature_does_to_the_bias_is_no_noise_of_the_reference() -> None:
+    drive = replace(find_scenario('cleaning'), duration_s=90.0, imu_hz=100, camera_hz=1)
+    hidden = (HiddenEffect(find_effect('bias_temperature'), (math.radians(0.1),)),)
+    source = ReferenceSource(SimSource(drive, 6, hidden=hidden), 'mocap')
+    found = fit_reference(source.measurements(), 'here')
+    assert found.bias_walk_deg_s > 4.0 * Config().gyro.bias_walk_deg_s
+    of_both = math.hypot(source.reference.walk_rad, math.radians(Config().gyro.rate_noise_deg_s))
+    assert found.walk_rad < 1.5 * of_both

@@ -283,6 +283,8 @@ def test_what_the_bias_follows_is_preferred_to_a_walk_that_no_gyro_has() -> None
         (0.9, 1.9, True, False),
         (0.9, 2.1, False, False),
         (1.1, 0.0, False, True),
+        (1.01, 0.0, False, False),
+        (1.01, 0.0, True, True),
         (0.9, 0.0, False, False),
     ],
 )

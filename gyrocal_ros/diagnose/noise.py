@@ -238,11 +238,13 @@ def _alike(rivals: Sequence[Addition], found: Addition) -> Addition | None:
 def _is_better(rival: Addition, found: Addition) -> bool:
     """Return True if a rival predicts better than a noise, or is kept and the robot drifts clearly less.
 
-    A jump explains one moment with one number, where the noise follows whatever else there is.
+    A jump explains one moment with one number, where the noise follows whatever else there is. A law that
+    itself is not kept has to predict clearly better.
     """
     drifts_less = better_sigma(*drift_of_both(found.after.run, rival.after.run)) > CLEARLY_LESS_SIGMA
     part = JUMP_PART if isinstance(rival.effect, Step) else 1.0
-    return (rival.is_kept and drifts_less) or rival.predictive_gain >= part * found.predictive_gain
+    more = 0.0 if rival.is_kept else MIN_GAIN
+    return (rival.is_kept and drifts_less) or rival.predictive_gain >= part * found.predictive_gain + more
 
 
 def _first_kept(

@@ -170,16 +170,20 @@ def fit_reference(
 
     time_constant_s = find_time_constant(behind, fitted.noise, gyro)
     if time_constant_s > 0.0:
-        smooth = _smoothed(measured, time_constant_s)
-        fitted, pure_s = _fit_noise_and_offset(smooth, offset_s - time_constant_s, estimate, gyro)
-        readings, estimate = _smoothed(readings, time_constant_s), (fitted.scale_factor, fitted.bias_rad_s)
-        offset_s = pure_s + time_constant_s
-    track = _track(readings, offset_s - time_constant_s, estimate)
+        measured, readings = _smoothed(measured, time_constant_s), _smoothed(readings, time_constant_s)
+        fitted, offset_s = _fit_noise_and_offset(measured, offset_s - time_constant_s, estimate, gyro)
+        estimate = fitted.scale_factor, fitted.bias_rad_s
+    track = _track(readings, offset_s, estimate)
+    bias_walk_deg_s = fit_bias_walk(track, fitted, gyro)
+    if bias_walk_deg_s > gyro.bias_walk_deg_s:
+        # What the bias does would else count as noise of the headings.
+        wandering = replace(gyro, bias_walk_deg_s=bias_walk_deg_s)
+        fitted, offset_s = _fit_noise_and_offset(measured, offset_s, estimate, wandering)
     return replace(
-        _as_fit(fitted, offset_s, _misfit_rad(track, fitted.jumps_s)),
+        _as_fit(fitted, offset_s + time_constant_s, _misfit_rad(track, fitted.jumps_s)),
         time_constant_s=time_constant_s,
         rest_noise_rad_s=readings.rest_noise_rad_s,
-        bias_walk_deg_s=fit_bias_walk(track, fitted, gyro),
+        bias_walk_deg_s=bias_walk_deg_s,
     )
 
 

@@ -40,7 +40,7 @@ def write_strange_bag(folder: Path) -> Path:
 def write_image_bag(folder: Path) -> Path:
     """Write a bag like that of `write_bag`, with images in place of features."""
     hidden = HiddenEffect(find_effect(HIDDEN), (SIZE,))
-    return _written(folder / 'pictures', hidden, images=True, camera_hz=2)
+    return _written(folder / 'pictures', hidden, images=True, camera_hz=1)
 
 
 def _written(path: Path, hidden: HiddenEffect, *, images: bool = False, camera_hz: int = 4) -> Path:

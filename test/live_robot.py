@@ -141,15 +141,15 @@ def robot(
     )
 
 
-def source() -> SimSource:
+def source(camera_hz: int = 5) -> SimSource:
     """The drive that all these tests use."""
-    return recording(duration_s=DURATION_S, seed=3, camera_hz=10)
+    return recording(duration_s=DURATION_S, seed=3, camera_hz=camera_hz)
 
 
 @cache
-def measured(from_s: float = 0.0, to_s: float = DURATION_S) -> tuple[Measurement, ...]:
+def measured(from_s: float = 0.0, to_s: float = DURATION_S, camera_hz: int = 5) -> tuple[Measurement, ...]:
     """The measurements between two times."""
-    all_items = (item for item in source().measurements() if not isinstance(item, TruthSample))
+    all_items = (item for item in source(camera_hz).measurements() if not isinstance(item, TruthSample))
     return tuple(item for item in all_items if at(from_s) <= item.t_ns < at(to_s))
 
 

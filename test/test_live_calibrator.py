@@ -153,7 +153,7 @@ def test_a_learned_effect_runs_live_as_in_a_replay(name: str) -> None:
     """Also where it follows the pose of the filter."""
     learned = {'name': name, 'low': -1.5, 'high': 1.5} if 'curve' in name else name
     model = model_from_dict({'name': 'learned', 'effects': ['scale_factor', learned]}, 'test')
-    items = measured(0.0, 30.0)
+    items = measured(0.0, 20.0)
     new = switched_on(model=model)
     new.run(items)
     new.live.close()

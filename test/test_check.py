@@ -184,7 +184,7 @@ def test_delayed_wheels(tmp_path: Path, late_s: float, side: str) -> None:
             return replace(item, yaw_rate_rad_s=rate(time_s(item) - late_s))
         return item
 
-    issues = issues_by_kind(check(tmp_path, map(turned, drive(60.0))))
+    issues = issues_by_kind(check(tmp_path, map(turned, drive(30.0))))
     assert ('delayed_turns' in issues) == bool(side)
     if side:
         assert issues['delayed_turns'].severity is Severity.WARNING
@@ -229,7 +229,7 @@ def test_images_that_turn_late_or_the_other_way(
 
     R_bs = RIG.camera_mount.R_bs if upward > 0.0 else np.diag([1.0, -1.0, -1.0])
     rig = replace(RIG, camera_mount=replace(RIG.camera_mount, R_bs=R_bs))
-    report = check_bag(write(tmp_path / 'bag', map(turned, drive(60.0)), rig), Config())
+    report = check_bag(write(tmp_path / 'bag', map(turned, drive(30.0)), rig), Config())
     assert [issue.kind for issue in report.issues] == expected
     assert all(issue.topic == '/ceiling_camera/features' for issue in report.issues)
     if late_s in (0.3, -0.2):

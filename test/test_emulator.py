@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 
@@ -118,12 +119,18 @@ class Host:
         return (np.array([sample.t_ns - WALL_NS for sample in self.imu()]) - np.array(true_ns)) / MS
 
 
+@cache
+def without_faults() -> Host:
+    """Return the host after all of the recording."""
+    return Host(emulator(LONG)).read()
+
+
 # --- recovered measurements -------------------------------------------------------------------------
 
 
 @pytest.mark.slow
 def test_all_samples_are_recovered() -> None:
-    host, config = Host(emulator(LONG)).read(), BoardConfig()
+    host, config = without_faults(), BoardConfig()
     sent = [item for item in LONG if isinstance(item, ImuSample)]
     rate_step = np.radians(config.gyro_volt * config.gyro_scale_factor_volt[0])
     for column, step in (('rate_rad_s', rate_step), ('specific_force_m_s2', config.accelerometer_scale[0])):
@@ -139,7 +146,7 @@ def test_all_samples_are_recovered() -> None:
 
 @pytest.mark.slow
 def test_the_distance_of_the_wheels_is_preserved() -> None:
-    host, config = Host(emulator(LONG)).read(), BoardConfig()
+    host, config = without_faults(), BoardConfig()
     sent = [item for item in LONG if isinstance(item, WheelSample)][1:]  # a sample needs two readings
     received = host.wheels()
     assert len(received) == len(sent)
@@ -155,7 +162,7 @@ def test_the_distance_of_the_wheels_is_preserved() -> None:
 
 @pytest.mark.slow
 def test_slow_signals_are_recovered() -> None:
-    host = Host(emulator(LONG)).read()
+    host = without_faults()
     warm = [reading for reading in host.readings if isinstance(reading, TemperatureSample)]
     true_c = [item.temperature_c for item in LONG if isinstance(item, TemperatureSample)]
     assert len(warm) == pytest.approx(40, abs=1)
@@ -359,7 +366,7 @@ def test_a_fault_may_be_added_while_running() -> None:
 
 
 def test_a_wrong_gain_scales_the_rates_for_its_time() -> None:
-    right, wrong = Host(emulator(LONG)).read().imu(), Host(emulator(LONG, 'gain@10+20=0.1')).read().imu()
+    right, wrong = without_faults().imu(), Host(emulator(LONG, 'gain@10+20=0.1')).read().imu()
     first, last = 10 * 200 + 2, 30 * 200 - 2  # without the samples at the edges
     before, after = (np.array([sample.rate_rad_s for sample in samples]) for samples in (right, wrong))
     np.testing.assert_allclose(after[first:last], 0.9 * before[first:last], atol=1e-3)

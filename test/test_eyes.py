@@ -68,7 +68,7 @@ def test_images_are_stored_with_the_quality_of_the_scene() -> None:
 
 @pytest.mark.slow
 def test_a_run_has_errors_of_the_right_size() -> None:
-    run = run_eyes('slow', 0, 40.0)
+    run = run_eyes('slow', 0, 25.0)
     assert not run.failure and abs(run.scale_error) < 1e-3 and abs(run.scale_z) < 5.0
     assert abs(run.bias_z) < 5.0 and run.heading_rms_deg < 0.2 and 0.3 < run.nis_per_dof < 10.0
     assert 5.0 < run.features < 22.0 and run.render_ms > 1.0 and run.tracker_ms > 0.1

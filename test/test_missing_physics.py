@@ -49,9 +49,9 @@ ASYMMETRY = 0.01
 DURATION_S = 120.0
 
 
-def bag_of(path: Path, *drawn: DrawnEffect, with_truth: bool = True) -> Path:
+def bag_of(path: Path, *drawn: DrawnEffect, with_truth: bool = True, duration_s: float = DURATION_S) -> Path:
     """Write a short bag with hidden effects."""
-    source = recording('cleaning', 3, DURATION_S, hide(drawn, find_effect), camera_hz=5)
+    source = recording('cleaning', 3, duration_s, hide(drawn, find_effect), camera_hz=5)
     with new_bag(path) as bag:
         bag.write_rig(source.rig, source.span.start_ns, R_bi=np.eye(3))
         for measurement in source.measurements():
@@ -70,6 +70,12 @@ def skewed(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def plain(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A bag without hidden effects and without ground truth."""
     return bag_of(tmp_path_factory.mktemp('bags') / 'plain', with_truth=False)
+
+
+@pytest.fixture(scope='module')
+def brief(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same for a minute."""
+    return bag_of(tmp_path_factory.mktemp('bags') / 'brief', with_truth=False, duration_s=60.0)
 
 
 def read_json(capsys: Output) -> dict[str, Any]:
@@ -290,9 +296,9 @@ class TestCompare:
         assert found['drift_reference'] == 'ground truth' and found['wall_s'] > 0.0
 
     @pytest.mark.slow
-    def test_without_a_model_and_without_truth(self, plain: Path, tmp_path: Path, capsys: Output) -> None:
+    def test_without_a_model_and_without_truth(self, brief: Path, tmp_path: Path, capsys: Output) -> None:
         out = tmp_path / 'out'
-        assert main(['compare', str(plain), '-o', str(out)]) == 0
+        assert main(['compare', str(brief), '-o', str(out)]) == 0
         printed = capsys.readouterr().out
         assert 'default' in printed and 'against the heading by SLAM' in printed
         assert 'nowhere: all differences are within chance' in printed and 'ground truth' not in printed
@@ -301,7 +307,7 @@ class TestCompare:
 
     @pytest.mark.slow
     def test_a_model_that_the_filter_cannot_run_with_is_reported(
-        self, plain: Path, tmp_path: Path, capsys: Output, monkeypatch: pytest.MonkeyPatch
+        self, brief: Path, tmp_path: Path, capsys: Output, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         model = tmp_path / 'broken.yaml'
         assert main(['add', 'gyro_lag', '--model', str(model)]) == 0
@@ -316,9 +322,9 @@ class TestCompare:
         default = tmp_path / 'default.yaml'
         assert main(['add', 'scale_factor', '--model', str(default)]) == 0
         capsys.readouterr()
-        assert main(['compare', str(plain), '--model', str(model), '--model', str(default)]) == 0
+        assert main(['compare', str(brief), '--model', str(model), '--model', str(default)]) == 0
         assert f'{model}: the filter cannot run with this model: bag: lost' in capsys.readouterr().out
-        assert main(['compare', str(plain), '--model', str(model)]) == 2
+        assert main(['compare', str(brief), '--model', str(model)]) == 2
         assert 'lost the measurements' in capsys.readouterr().err
 
 
@@ -366,8 +372,8 @@ class TestImprove:
 
     @pytest.mark.slow
     def test_an_unknown_law_is_named_by_what_it_follows(self, tmp_path: Path, capsys: Output) -> None:
-        """The headings of this run seem to follow the time; the full filter tells that they do not."""
-        bag = bag_of(tmp_path / 'law', DrawnEffect('stranger_scale_heading', (0.03, 0.5)))
+        law = DrawnEffect('stranger_scale_heading', (0.03, 0.5))
+        bag = bag_of(tmp_path / 'law', law, duration_s=60.0)
         assert main(['improve', str(bag)]) == 0
         text = capsys.readouterr().out
         assert text.startswith('[red] Nothing was added')
@@ -375,13 +381,13 @@ class TestImprove:
 
     @pytest.mark.slow
     def test_an_interruption_leaves_nothing(
-        self, plain: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+        self, brief: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         def interrupt(*args: Any) -> None:
             raise KeyboardInterrupt
 
         monkeypatch.setattr(improve, 'open_bag_runs', interrupt)
-        assert main(['improve', str(plain), '-o', str(tmp_path / 'out')]) == 130
+        assert main(['improve', str(brief), '-o', str(tmp_path / 'out')]) == 130
         assert list(tmp_path.iterdir()) == []
 
 
@@ -394,17 +400,17 @@ class TestBadInput:
 
     @pytest.mark.slow
     def test_a_model_that_cannot_be_used(
-        self, plain: Path, tmp_path: Path, capsys: Output, command: str
+        self, brief: Path, tmp_path: Path, capsys: Output, command: str
     ) -> None:
         model = tmp_path / 'model.yaml'
         model.write_text('effects: [scale_factor, gyro_lagg]', encoding='utf-8')
-        assert main([command, str(plain), '--model', str(model)]) == 2
+        assert main([command, str(brief), '--model', str(model)]) == 2
         assert "did you mean 'gyro_lag'?" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
     ('name', 'message'), [('gyro_lagg', "did you mean 'gyro_lag'?"), ('scale_factor', 'in the model already')]
 )
-def test_an_effect_that_cannot_be_tried(plain: Path, capsys: Output, name: str, message: str) -> None:
-    assert main(['improve', str(plain), '--effect', name]) == 2
+def test_an_effect_that_cannot_be_tried(brief: Path, capsys: Output, name: str, message: str) -> None:
+    assert main(['improve', str(brief), '--effect', name]) == 2
     assert message in capsys.readouterr().err

@@ -79,7 +79,7 @@ ASYMMETRY = 0.008
 
 @pytest.fixture(scope='module')
 def searched_and_diagnosed() -> tuple[Search, Diagnosis]:
-    scenario = replace(find_scenario('cleaning'), duration_s=90.0)
+    scenario = replace(find_scenario('cleaning'), duration_s=90.0, imu_hz=100)
     hidden = (HiddenEffect(find_effect('scale_asymmetry'), (ASYMMETRY,)),)
     config = with_settings(Config(), {'tracker': {'features': 12}})
     source, config = preload(SimSource(scenario, 3, hidden=hidden), config, default_model())

@@ -70,7 +70,7 @@ def test_the_example_of_the_guide_works(
     assert main(shlex.split(explain)[1:]) == 0
     shown = capsys.readouterr().out
     assert 'When the battery runs low' in shown and 'gyro, wheels, camera, battery_state.voltage' in shown
-    assert main(shlex.split(simulate)[1:]) == 0
+    assert main([*shlex.split(simulate)[1:], '--duration', '60']) == 0
     assert 'with low_supply: k = 0.1 1/V' in capsys.readouterr().out
     assert main([*shlex.split(replay)[1:], '--json']) == 0
     found = json.loads(capsys.readouterr().out)['coefficients']['low_supply']

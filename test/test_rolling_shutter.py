@@ -77,7 +77,13 @@ def test_a_known_readout_leaves_the_scale_factor_as_it_is() -> None:
     known = with_means(replace(SHUTTER, coefficients=(item,)), (READOUT_S,))
     bare = default_model()
     model = SensorModel('with it', bare.bias, (*bare.effects, known))
-    images = {'seed': 30, 'imu_hz': 200, 'camera_hz': 30, 'errors': SensorErrors(pixel_noise_px=0.1)}
+    images = {
+        'seed': 30,
+        'duration_s': 30.0,
+        'imu_hz': 200,
+        'camera_hz': 30,
+        'errors': SensorErrors(pixel_noise_px=0.1),
+    }
     plain = calibrate(recording(**images), Config(), bare)
     rolling = calibrate(recording(**images, hidden=(HiddenEffect(SHUTTER, (READOUT_S,)),)), Config(), model)
     scales = [1.0 + run.state.mean[COEFFICIENTS_START] for run in (plain, rolling)]

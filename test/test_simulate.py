@@ -74,7 +74,8 @@ def test_images_are_recorded_in_place_of_features(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_scene_has_its_lens_rate_and_ceiling(tmp_path: Path) -> None:
+def test_a_scene_has_its_lens_rate_and_ceiling(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(SCENES, 'fisheye', replace(SCENES['fisheye'], camera_hz=4))
     options = ('--images', '--duration', '1', '--scene', 'fisheye', '--condition', 'jpeg_quality=95')
     assert simulate(tmp_path / 'one', *options) == 0
     assert simulate(tmp_path / 'other', *options, '--ceiling', 'lamps', '--condition', 'fan=true') == 0

@@ -82,7 +82,7 @@ def leaves_the_map(seed: int) -> bool:
     """Return True if a feature that slides outwards by a fifth of a thousandth in each image is dropped."""
     drive = find_scenario('cleaning')
     errors = replace(drive.errors, pixel_noise_px=0.1)
-    source = SimSource(replace(drive, duration_s=30.0, imu_hz=100, errors=errors), seed)
+    source = SimSource(replace(drive, duration_s=20.0, imu_hz=100, errors=errors), seed)
     camera, items = source.rig.camera, list(source.measurements())
     assert camera is not None
     seen = Counter(i for item in items if isinstance(item, FeatureObservations) for i in item.ids.tolist())

@@ -8,13 +8,14 @@ from threading import Thread
 from typing import Any
 
 from dash import ALL, ClientsideFunction, Dash, Input, Output, State, ctx, no_update
+from dash.exceptions import PreventUpdate
 
 from gyrocal_ros.diagnose.analysis.shapes import TIME
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.errors import GyrocalError
 from gyrocal_ros.studio import panels, pictures
 from gyrocal_ros.studio.export import export
-from gyrocal_ros.studio.layout import MARKS
+from gyrocal_ros.studio.layout import IDLE_POLL_MS, MARKS, POLL_MS
 from gyrocal_ros.studio.lesson import NOTHING, UNKNOWN
 from gyrocal_ros.studio.state import StudioState
 from gyrocal_ros.studio.workspace import Workspace
@@ -85,33 +86,40 @@ def _connect_status(app: Dash, workspace: Workspace) -> None:
         Output('learn', 'disabled'),
         *(Output(name, 'disabled') for name in ('write', 'export', 'reveal')),
         *(Output(f'mark-{name}', 'data') for name in MARKS),
+        Output('poll', 'interval'),
+        Output('shown', 'data'),
         Input('poll', 'n_intervals'),
         Input('acted', 'data'),
-        *(State(f'mark-{name}', 'data') for name in MARKS),
+        State('shown', 'data'),
     )
-    def update(_polled: Any, _acted: Any, *shown: str | None) -> tuple[Any, ...]:
-        state = workspace.state
-        running, present = state.running, state.tree.present
-        has_run, status = state.examination is not None, panels.status(state)
-        new = marks(state)
-        changed = [
-            no_update if new[name] == old else new[name] for name, old in zip(MARKS, shown, strict=True)
-        ]
-        progress = None if running is None else running.progress
-        return (
-            state.message or ('' if status is None else status.sentence),
-            'error-message' if state.is_error else '' if status is None else status.level,
-            '' if progress is None else f'{progress.text} {100.0 * progress.fraction:.0f} %',
-            '0' if progress is None else f'{100.0 * progress.fraction:.0f}',
-            running is None,
-            running is None,
-            running is not None or (has_run and state.tree.next_to_run is None),
-            state.is_busy or present is None or present.builds_on is None,
-            state.is_busy or not state.can_learn,
-            *[not has_run] * 2,
-            not (has_run and state.has_answer),
-            *changed,
-        )
+    def update(_polled: Any, _acted: Any, shown: list[str | int] | None) -> list[Any]:
+        parts = status_parts(workspace.state)
+        if parts == shown:
+            raise PreventUpdate  # what is sent again is drawn again
+        before: list[Any] = shown or [None] * len(parts)
+        return [*(no_update if new == old else new for new, old in zip(parts, before, strict=True)), parts]
+
+
+def status_parts(state: StudioState) -> list[str | int]:
+    """Return message, its class, progress, what is hidden and disabled, the marks, and the next period."""
+    running, present = state.running, state.tree.present
+    has_run, status = state.examination is not None, panels.status(state)
+    progress = None if running is None else running.progress
+    return [
+        state.message or ('' if status is None else status.sentence),
+        'error-message' if state.is_error else '' if status is None else status.level,
+        '' if progress is None else f'{progress.text} {100.0 * progress.fraction:.0f} %',
+        '0' if progress is None else f'{100.0 * progress.fraction:.0f}',
+        running is None,
+        running is None,
+        running is not None or (has_run and state.tree.next_to_run is None),
+        state.is_busy or present is None or present.builds_on is None,
+        state.is_busy or not state.can_learn,
+        *[not has_run] * 2,
+        not (has_run and state.has_answer),
+        *marks(state).values(),
+        IDLE_POLL_MS if running is None else POLL_MS,
+    ]
 
 
 def _connect_actions(app: Dash, workspace: Workspace) -> None:

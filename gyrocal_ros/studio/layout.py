@@ -10,8 +10,8 @@ from dash import dcc, html
 from gyrocal_ros.report.plot import plot_config
 from gyrocal_ros.studio.pictures import KINDS
 
-POLL_MS = 400
-"""Period at which the page asks for changes."""
+POLL_MS, IDLE_POLL_MS = 400, 1000
+"""Periods at which the page asks for changes: while something runs, and else."""
 LEARN_HINT = 'Learn the law behind the error left over, as `gyrocal learn` does; nothing is added yet.'
 VALIDATE_HINT = (
     'Run the first model and the present one over another recording, with the coefficients of this one.'
@@ -39,6 +39,7 @@ def layout(titles: Sequence[str], *, may_upload: bool = False) -> html.Div:
         [
             dcc.Interval(id='poll', interval=POLL_MS),
             *(dcc.Store(id=f'mark-{name}') for name in MARKS),
+            dcc.Store(id='shown'),
             dcc.Store(id='acted'),
             dcc.Store(id='chosen'),
             dcc.Store(id='theme', storage_type='local'),

@@ -49,6 +49,13 @@ def new_page(browser: Browser) -> Page:
     return page
 
 
+def on_a_laptop(page: Page) -> Page:
+    """Return a page as a test expects it that shares it with others: on the screen of a laptop, light."""
+    page.set_viewport_size(LAPTOP)
+    page.emulate_media(color_scheme='light')
+    return page
+
+
 class Studio:
     """A studio, started by the command."""
 

@@ -9,13 +9,13 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Page, expect
 from studio_browser import (
-    LAPTOP,
     Studio,
     assert_nothing_overlaps,
     barriers,
     chromium,
     drift_deg,
     new_page,
+    on_a_laptop,
     parts_below_the_screen,
     screenshot,
 )
@@ -51,9 +51,7 @@ def open_page(
 
 @pytest.fixture
 def page(open_page: Page) -> Page:
-    open_page.set_viewport_size(LAPTOP)
-    open_page.emulate_media(color_scheme='light')
-    return open_page
+    return on_a_laptop(open_page)
 
 
 def test_an_unknown_law_is_learned_shown_added_and_removed(page: Page) -> None:

@@ -7,7 +7,15 @@ from pathlib import Path
 
 import pytest
 from playwright.sync_api import Browser, Page, expect
-from studio_browser import LAPTOP, TABLET, Studio, assert_nothing_overlaps, chromium, new_page, screenshot
+from studio_browser import (
+    TABLET,
+    Studio,
+    assert_nothing_overlaps,
+    chromium,
+    new_page,
+    on_a_laptop,
+    screenshot,
+)
 from studio_parts import HIDDEN
 
 
@@ -34,9 +42,7 @@ def open_page(browser: Browser, studio: Studio) -> Page:
 
 @pytest.fixture
 def page(open_page: Page) -> Page:
-    open_page.set_viewport_size(LAPTOP)
-    open_page.emulate_media(color_scheme='light')
-    return open_page
+    return on_a_laptop(open_page)
 
 
 def add_and_remove(page: Page, *, present: bool) -> None:

@@ -354,6 +354,8 @@ class MotionBlock:
     """(N,) heading in the map by the filter; None where there is no filter."""
     position_m: Array | None = None
     """(N, 2) position in the map by the filter; None where there is no filter."""
+    bias_rad_s: float = 0.0
+    """Bias of the yaw rate by the filter; zero where there is no filter."""
 
     @property
     def duration_s(self) -> float:

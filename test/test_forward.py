@@ -112,8 +112,9 @@ def scale_error_sigma(run: Run, scale_factor: float) -> float:
 
 
 def test_every_effect_is_among_the_hidden_ones() -> None:
+    """All but a play: no reading tells when it is crossed, so that innovations are left there."""
     corrected = {name for name, effect in EFFECTS.items() if not is_noise(effect)}
-    assert set(HIDDEN) >= corrected - {'scale_factor'}
+    assert set(HIDDEN) >= corrected - {'scale_factor', 'mount_backlash'}
     assert set(HIDDEN) >= set(OUT_OF_LIBRARY)
 
 

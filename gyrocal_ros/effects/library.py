@@ -18,6 +18,7 @@ from gyrocal_ros.effects.g_sensitivity import GSensitivity
 from gyrocal_ros.effects.gyro_lag import GyroLag
 from gyrocal_ros.effects.gyro_noise import GyroNoise
 from gyrocal_ros.effects.lateral_drift import LateralDrift
+from gyrocal_ros.effects.mount_backlash import MountBacklash
 from gyrocal_ros.effects.principal_point import PrincipalPoint
 from gyrocal_ros.effects.radial_distortion import RadialDistortion
 from gyrocal_ros.effects.rate_deadband import RateDeadband
@@ -48,6 +49,7 @@ SHIPPED: tuple[LibraryEffect, ...] = (
     RateDeadband(),
     VibrationRectification(),
     TurnHysteresis(),
+    MountBacklash(),
     CameraTimeOffset(),
     RollingShutter(),
     WheelScale(),

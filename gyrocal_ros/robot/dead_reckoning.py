@@ -218,8 +218,10 @@ class DeadReckoning:
             wheel_turn_rad=self._wheel_rate_rad_s * dt,
             temperature_c=self._temperature_c,
             covariates=self._signals,
+            wheels_at_rest=self._speed_m_s == self._wheel_rate_rad_s == 0.0,
             heading_rad=np.array([self._track[-1][1][5]]),
             position_m=np.array([self._track[-1][1][:2]]),
+            bias_rad_s=float(self.predicted.bias_rad_s[2]),
         )
 
     def _integrate(self, step: _Step) -> None:

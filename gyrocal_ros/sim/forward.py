@@ -43,10 +43,11 @@ class HiddenEffect:
         needed = len(self.effect.coefficients)
         if len(self.values) != needed:
             raise ConfigError(f'needs {needed} values, not {len(self.values)}', where=self.effect.name)
-        if isinstance(self.effect, GyroEffectOnReadings) and min(self.values) < 0.0:
-            raise ConfigError(
-                f'cannot be {min(self.values):g}', where=self.effect.name, todo='give 0 or more'
-            )
+        if not isinstance(self.effect, GyroEffectOnReadings):
+            return
+        for item, value in zip(self.effect.coefficients, self.values, strict=True):
+            if value < 0.0 and not (item.typical and item.typical.signed):
+                raise ConfigError(f'cannot be {value:g}', where=self.effect.name, todo='give 0 or more')
 
 
 Hidden = tuple[HiddenEffect, ...]

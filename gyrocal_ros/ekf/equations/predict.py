@@ -67,12 +67,13 @@ class Transition:
 
 
 def with_pose(block: MotionBlock, state: State) -> MotionBlock:
-    """Return the block with heading and position in the middle of each interval, for effects on them.
+    """Return the block with the bias, and heading and position in the middle of each interval, for effects.
 
-    They are those of the state, continued by the nominal rate and the wheels.
+    They are those of the state; heading and position are continued by the nominal rate and the wheels.
     """
     heading_rad, position_m = path_in_block(state.mean, block.rate_rad_s, block.dt_s, block.distance_m)
-    return changed(block, heading_rad=heading_rad, position_m=position_m)
+    bias_rad_s = float(state.mean[YAW_BIAS])
+    return changed(block, heading_rad=heading_rad, position_m=position_m, bias_rad_s=bias_rad_s)
 
 
 @compiled

@@ -33,7 +33,7 @@ class MountBacklash(LinearMemoryEffect):
         'to the other side, until it has crossed its play. So the heading jumps by the play where a turn to '
         'the left follows one to the right; a further turn to the same side does nothing. These errors do '
         'not add up. The play is positive if the gyro is loose and negative if the camera is: fasten it.',
-        equation='w = w_n + play dp/dt, p = -1/2 to 1/2 by the side of the last turn',
+        equation='w = w_n + play dp/dt, abs(p) <= 1/2',
         usual_size='0.05 to 1 deg',
         best_motion='turns to and fro, begun and ended abruptly',
         twins=('gyro_lag', 'camera_time_offset', 'turn_hysteresis'),

@@ -127,6 +127,7 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
             'dead_wheels',
             Severity.WARNING,
         ),
+        (WheelSample, lambda s: replace(s, yaw_rate_rad_s=0.0), 'no_wheel_turns', Severity.WARNING),
         (
             FeatureObservations,
             lambda s: FeatureObservations(s.t_ns, s.ids[:2], s.pixels[:2]),
@@ -143,6 +144,24 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
             FeatureObservations,
             lambda s: replace(s, pixels=np.where(s.pixels < 35.5, math.nan, s.pixels)),
             'not_finite',
+            Severity.WARNING,
+        ),
+        (
+            FeatureObservations,
+            lambda s: replace(s, ids=s.ids + 100 * round(10.0 * time_s(s))),
+            'no_tracks',
+            Severity.ERROR,
+        ),
+        (
+            FeatureObservations,
+            lambda s: replace(s, pixels=s.pixels + [20.0, 0.0]),
+            'outside_image',
+            Severity.WARNING,
+        ),
+        (
+            FeatureObservations,
+            lambda s: replace(s, pixels=s.pixels / 64.0),
+            'no_pixels',
             Severity.WARNING,
         ),
         (
@@ -403,6 +422,25 @@ def test_clocks_too_far_apart_to_be_used_together(tmp_path: Path, offset_s: floa
 def test_unset_stamps(tmp_path: Path) -> None:
     report = check_restamped(tmp_path, lambda s, t: (-START_NS / NS_PER_S if is_imu(s) else t, t))
     assert issues_by_kind(report)['unset_stamps'].severity is Severity.ERROR
+
+
+@pytest.mark.parametrize(
+    ('kind', 'stamp_s'),
+    [
+        (ImuSample, lambda t: 5.0),
+        (ImuSample, math.floor),
+        (ImuSample, lambda t: math.floor(t) + 1e-3 * (t % 1.0)),
+        (FeatureObservations, lambda t: 5.0),
+    ],
+)
+def test_stamps_that_are_no_times_of_measurements(
+    tmp_path: Path, kind: type, stamp_s: Callable[[float], float]
+) -> None:
+    """All alike, of whole seconds, or with microseconds in place of nanoseconds: no turn is missed then."""
+    report = check_restamped(tmp_path, lambda s, t: (stamp_s(t) if isinstance(s, kind) else t, t))
+    errors = [issue for issue in report.issues if issue.severity is Severity.ERROR]
+    assert [issue.kind for issue in errors] == ['unusable_stamps']
+    assert errors[0].topic == ('/imu/data_raw' if kind is ImuSample else '/ceiling_camera/features')
 
 
 def test_a_topic_that_covers_only_a_part_of_the_time(tmp_path: Path) -> None:

@@ -22,6 +22,8 @@ class FeatureStats:
 
     upward: float
     """1 for a camera that looks up, -1 for one that looks down."""
+    size_px: tuple[float, float]
+    """Width and height of the image; infinite where they are not known."""
     count: int = 0
     damaged: int = 0
     """Number of clouds that cannot be used."""
@@ -30,14 +32,25 @@ class FeatureStats:
     features: int = 0
     lost: int = 0
     """Number of features without a plausible pixel."""
+    with_features: int = 0
+    """Number of clouds with a feature that has a place."""
+    outside: int = 0
+    """Number of features that lie outside of the image."""
+    farthest_px: float = 0.0
+    """Largest coordinate of a feature."""
+    are_tracked: bool = False
+    """True if any feature is in two images."""
     turns: TurnStats = field(default_factory=TurnStats)
     _before: FeatureObservations | None = None
     _yaw_rad: float = 0.0
+    _ids: set[int] = field(default_factory=set)
 
     @classmethod
     def of(cls, rig: Rig) -> FeatureStats:
         """Return the statistics of no cloud yet."""
-        return cls(upward=math.copysign(1.0, rig.camera_mount.R_bs[2, 2]))
+        camera = rig.camera
+        size_px = (camera.width_px, camera.height_px) if camera else (math.inf, math.inf)
+        return cls(math.copysign(1.0, rig.camera_mount.R_bs[2, 2]), size_px)
 
     def add(self, decode: Callable[[], Any]) -> None:
         """Add what is decoded as a PointCloud2 of features."""
@@ -52,9 +65,25 @@ class FeatureStats:
         points = int(message.width) * int(message.height)
         self.features += points
         self.lost += points - len(seen.ids)
+        self._see(seen)
         before, self._before = self._before, seen
         turn_rad = turn_between(before, seen) if before is not None else None
         if before is not None and turn_rad is not None:
             self._yaw_rad -= self.upward * turn_rad  # what stays in the room turns the other way
             middle_ns = (before.t_ns + seen.t_ns) // 2
             self.turns.add_headings(np.array([middle_ns]), np.array([self._yaw_rad]))
+
+    def _see(self, seen: FeatureObservations) -> None:
+        """Note where the features lie, and whether any of them was seen before."""
+        if not len(seen.ids):
+            return
+        self.with_features += 1
+        u, v = seen.pixels.T
+        width_px, height_px = self.size_px
+        outside = (u < -0.5) | (u > width_px - 0.5) | (v < -0.5) | (v > height_px - 0.5)
+        self.outside += int(np.count_nonzero(outside))
+        self.farthest_px = max(self.farthest_px, float(np.abs(seen.pixels).max()))
+        if not self.are_tracked:
+            ids = set(seen.ids.tolist())
+            self.are_tracked = not self._ids.isdisjoint(ids)
+            self._ids = set() if self.are_tracked else self._ids | ids

@@ -93,6 +93,8 @@ class BagScan:
     """Readings of the encoders that the filter replaces."""
     wheels_move: bool = False
     """True if any reading of the encoders is not zero."""
+    wheels_turn: bool = False
+    """True if any turn by the encoders is not zero."""
     feature_count: int = 0
     """Number of features in all images together."""
     features: FeatureStats | None = None
@@ -195,6 +197,7 @@ def _wheel_handler(scan: BagScan) -> BlockHandler:
     def handle(stamps_ns: IntArray, numbers: Array) -> None:
         turns.add(stamps_ns, numbers[:, 1])
         scan.wheels_move |= bool(numbers.any())
+        scan.wheels_turn |= bool(numbers[:, 1].any())
         readings = zip(stamps_ns.tolist(), numbers.tolist(), strict=True)
         scan.wheels.sound([WheelSample(t_ns, *motion) for t_ns, motion in readings])
 

@@ -82,6 +82,8 @@ class StampStats:
     """Number of intervals that are neither regular nor one of the events below."""
     lost: int = 0
     """Number of messages that are missing between others."""
+    followed_s: float = 0.0
+    """Time in which the messages follow each other closely enough to integrate a rate."""
     period_ns: float = math.nan
     """Typical interval between two messages."""
     repeated: EventStats = field(default_factory=EventStats)
@@ -94,6 +96,7 @@ class StampStats:
     """Largest time of recording minus stamp."""
     mean_delay_s: float = 0.0
     """Mean time of recording minus stamp."""
+    _first_recorded_ns: int = 0
     _last_recorded_ns: int = 0
 
     def add(self, stamps_ns: IntArray, recorded_ns: IntArray) -> None:
@@ -105,6 +108,7 @@ class StampStats:
         """
         if self.count == 0:
             self.first_ns, self.period_ns = int(stamps_ns[0]), _typical_interval_ns(stamps_ns)
+            self._first_recorded_ns = int(recorded_ns[0])
             before, recorded_before = stamps_ns, recorded_ns
         else:
             before = np.concatenate([[self.last_ns], stamps_ns])
@@ -122,6 +126,7 @@ class StampStats:
             (self.gap, gap),
         ):
             events.add(steps[where], before[where])
+        self.followed_s += float(steps[(steps > 0) & (steps < MAX_STEP_S * NS_PER_S)].sum()) / NS_PER_S
         resent = backward.copy()
         resent[1:] |= backward[:-1]
         is_even = (steps > EVEN_PERIODS[0] * self.period_ns) & (steps < EVEN_PERIODS[1] * self.period_ns)
@@ -137,6 +142,11 @@ class StampStats:
         self.count += len(stamps_ns)
         self.mean_delay_s += (delays.mean() / NS_PER_S - self.mean_delay_s) * len(stamps_ns) / self.count
         self.last_ns, self._last_recorded_ns = int(stamps_ns[-1]), int(recorded_ns[-1])
+
+    @property
+    def recorded_s(self) -> float:
+        """Time of recording from the first message to the last."""
+        return seconds(self._last_recorded_ns - self._first_recorded_ns)
 
     @property
     def rate_hz(self) -> float:

@@ -12,8 +12,11 @@ from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearMemoryEffect, column
 from gyrocal_ros.model.sensor import Coefficient, Memory, TypicalRange
 
-LEAST_TURN_RAD = math.radians(0.3)
-"""A turn to the other side is one from this angle on: less may be noise of the readings and of their bias."""
+LEAST_TURN_RAD, LEAST_RATE_RAD_S = math.radians(0.3), math.radians(1.0)
+"""Least turn in which a play is crossed that is not known, or of a camera, and rate from which a loose gyro
+turns: less may be noise of the readings and of their bias."""
+GYRO_TURN_RAD = math.radians(0.05)
+"""Turn after which a loose gyro has crossed its play: it reads nothing before."""
 CROSSING_S = 0.1
 """Time in which a simulated robot crosses the play of a camera, before the camera begins to turn."""
 TURNING_RAD_S = math.radians(5.0)
@@ -25,7 +28,8 @@ class MountBacklash(LinearMemoryEffect):
     """`play dp/dt`: the heading of a loose part jumps by its play at every turn to the other side.
 
     The position p in the play, from -1/2 to 1/2, follows the turn of the robot. The play is positive if the
-    gyro is loose and negative if the camera is.
+    gyro is loose and negative if the camera is; what is known of it before, its prior mean, tells when it is
+    crossed.
     """
 
     about: ClassVar[Explanation] = Explanation(
@@ -56,16 +60,13 @@ class MountBacklash(LinearMemoryEffect):
         place = memory if memory is not None else 0.0
         if block.wheels_at_rest:
             return np.zeros((len(block.dt_s), 1)), place
-        turns_rad = (block.rate_rad_s[:, 2] + block.bias_rad_s) * block.dt_s
-        places = _followed(turns_rad, self._crossed_in_rad(), place)
+        rate_rad_s, play_rad = block.rate_rad_s[:, 2] + block.bias_rad_s, self.coefficients[0].prior_mean
+        crossed_in_rad = max(-play_rad, LEAST_TURN_RAD)
+        if play_rad > 0.0:
+            rate_rad_s = np.where(np.abs(rate_rad_s) > LEAST_RATE_RAD_S, rate_rad_s, 0.0)
+            crossed_in_rad = GYRO_TURN_RAD
+        places = _followed(rate_rad_s * block.dt_s, crossed_in_rad, place)
         return column(0.5 * np.diff(places) / block.dt_s), float(places[-1])
-
-    def _crossed_in_rad(self) -> float:
-        """Return the turn that the gyro reads while the play is crossed, by what is known of it before.
-
-        A loose gyro reads nothing until it has crossed its play.
-        """
-        return max(-self.coefficients[0].prior_mean, LEAST_TURN_RAD)
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
         """Return what a loose gyro reads, or one on a robot that turns a loose camera."""
@@ -92,7 +93,7 @@ def _crossed_before(rate_rad_s: Array, dt_s: Array, play_rad: float) -> Array:
     """Return the rate (n,) that is added where a robot crosses the play, before its camera turns."""
     added = np.zeros(len(rate_rad_s))
     sides = np.sign(rate_rad_s) * (np.abs(rate_rad_s) > TURNING_RAD_S)
-    turning = np.flatnonzero(sides)
+    turning = np.flatnonzero(sides[1:]) + 1
     side, ends_s = 0.0, np.cumsum(dt_s)
     for first in turning[np.diff(sides[turning], prepend=0.0) != 0.0].tolist():
         crossed_rad = play_rad if side else 0.5 * play_rad

@@ -106,6 +106,47 @@ class TestSaturationInReadings:
         assert top_of(readings(rate[: OUTLIERS // 2], HZ)) is None
 
 
+class TestSaturationOfEachSide:
+    SWING = deg(120.0) * np.sin(2.0 * np.pi * np.arange(6000) / HZ / 20.0)
+
+    @pytest.mark.parametrize(
+        ('low_deg_s', 'high_deg_s', 'expected'),
+        [
+            (-62.0, 75.0, (68.5, 6.5)),
+            (-75.0, 62.0, (68.5, -6.5)),
+            (-62.0, 200.0, (94.0, 32.0)),
+            (-62.0, 62.5, None),
+            (-62.0, 62.0, None),
+            (-200.0, 200.0, None),
+        ],
+    )
+    def test_each_side_has_a_limit_of_its_own(
+        self, low_deg_s: float, high_deg_s: float, expected: tuple[float, float] | None
+    ) -> None:
+        """A side that reaches 120 deg/s has one at 126 deg/s, which no reading passes."""
+        read = np.clip(self.SWING, deg(low_deg_s), deg(high_deg_s)) + noise(6000, 0.05)
+        found = RateSaturation().of_each_side(readings(read, HZ))
+        if expected is None:
+            assert found is None
+            return
+        assert found is not None
+        limit, offset = (math.degrees(x) for x in (found.coefficients[0].prior_mean, found.offset_rad_s))
+        assert (limit, offset) == pytest.approx(expected, abs=0.5)
+
+    def test_a_side_that_turns_slower_has_no_limit(self) -> None:
+        read = np.clip(np.where(self.SWING > 0.0, self.SWING, 0.4 * self.SWING), -TOP, TOP)
+        assert RateSaturation().of_each_side(readings(read + noise(6000, 0.05), HZ)) is None
+        assert RateSaturation().of_each_side(readings(np.zeros(5), HZ)) is None
+
+    def test_readings_beyond_either_limit_are_replaced(self) -> None:
+        found = RateSaturation(offset_rad_s=deg(6.5))
+        rates = np.radians([-62.0, -50.0, 65.0, 75.0])
+        side, bias_part = found.rate_error(rates, deg(68.5))
+        assert side.tolist() == [-1.0, 0.0, 0.0, 1.0] and not bias_part.any()
+        clipped = found.readings(np.radians([-90.0, 90.0]), np.ones(2), np.array([deg(68.5)]), 1.0)
+        np.testing.assert_allclose(clipped, [deg(-62.0), deg(75.0)])
+
+
 class TestDeadBandInReadings:
     def slow(self, width_deg_s: float) -> Array:
         """Readings at rest and in slow turns, those inside a band read as zero."""
@@ -143,6 +184,14 @@ class TestDeadBandInReadings:
 class TestProposals:
     def saturated(self) -> Drive:
         return drive(read_rad_s=np.clip(turning_rad_s(300.0), -TOP, TOP))
+
+    def test_a_limit_of_each_side_is_proposed_beside_one(self) -> None:
+        made = drive(read_rad_s=np.clip(turning_rad_s(300.0), -0.8 * TOP, TOP))
+        uneven, even = (proposal.effect for proposal in proposed(made))
+        assert isinstance(uneven, RateSaturation) and isinstance(even, RateSaturation)
+        assert uneven.coefficients[0].prior_mean == pytest.approx(0.9 * TOP, rel=0.01)
+        assert uneven.offset_rad_s == pytest.approx(0.1 * TOP, rel=0.05)
+        assert even.offset_rad_s == 0.0
 
     def test_readings_that_stop_where_the_robot_turns_faster(self) -> None:
         (proposal,) = proposed(self.saturated())

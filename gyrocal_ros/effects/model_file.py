@@ -190,6 +190,12 @@ def options_of(effect: Effect) -> dict[str, Any]:
     return {name: getattr(effect, name) for name in names}
 
 
+def own_options(effect: Effect, usual: Effect) -> dict[str, Any]:
+    """Return the settings of an effect that are not those of the usual one of its name."""
+    before = options_of(usual)
+    return {name: value for name, value in options_of(effect).items() if value != before[name]}
+
+
 def _option(effect: Effect, name: str, value: Any, default: Any, where: str) -> Any:
     choices = get_args(get_type_hints(type(effect))[name])  # of a Literal
     if isinstance(default, str) and choices and value not in choices:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 
 from gyrocal_ros.effects.base import shown_in
-from gyrocal_ros.effects.model_file import options_of
+from gyrocal_ros.effects.model_file import own_options
 from gyrocal_ros.effects.registry import find_effect
 from gyrocal_ros.errors import ConfigError
 from gyrocal_ros.model.sensor import Coefficient, Effect, is_possible
@@ -81,11 +81,9 @@ def add_words(effect: Effect) -> list[str]:
     The model that it makes runs as one with the effect itself.
     """
     usual = find_effect(effect.name)
-    before = options_of(usual)
     settings = [
         f'{name}={value:.8g}' if isinstance(value, float) else f'{name}={value}'
-        for name, value in options_of(effect).items()
-        if value != before[name]
+        for name, value in own_options(effect, usual).items()
     ]
     settings += [
         f'{item.name}={_prior_text(item)}'

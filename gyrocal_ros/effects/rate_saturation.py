@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import numpy as np
@@ -11,11 +11,19 @@ import numpy as np
 from gyrocal_ros.data import NS_PER_S, Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation
 from gyrocal_ros.model.recording import GyroReadings
-from gyrocal_ros.model.sensor import Coefficient, DetectedLimit, GyroTerm, Memory, Place, TypicalRange
+from gyrocal_ros.model.sensor import (
+    Coefficient,
+    DetectedLimit,
+    GyroTerm,
+    Memory,
+    Place,
+    TypicalRange,
+    with_means,
+)
 
 AT_LIMIT = 0.98
-"""Part of the limit from which readings count as clipped: the limits of the two sides differ by up to 2 %, by
-the offset of the sensor."""
+"""Part of the limit from which readings count as clipped: limits of the two sides that differ by less, by the
+offset of the sensor, count as one."""
 WHEEL_TURN_ERROR = 0.1
 """Relative standard deviation of the wheels' turn, which replaces the clipped reading."""
 TOP_PART = 0.98
@@ -24,6 +32,8 @@ MIN_TOP_S = 0.5
 """Minimum time with readings at the largest one for a limit to be possible."""
 OUTLIERS = 20
 """Number of largest readings that are ignored: noise on top of a limit."""
+BEYOND = 1.05
+"""Limit of a side that has none, relative to its largest reading."""
 PASSED_SIGMA = 5.0
 """Standard deviations of the noise beyond which a reading has passed a limit: then it is none."""
 
@@ -39,7 +49,7 @@ class RateSaturation:
         physics='Beyond its range the sensor outputs its largest value and no more. However fast the '
         'turn, the reading stays at the limit, and the part beyond is lost. For such moments the '
         'wheels and the camera have to measure how far the robot turned.',
-        equation='|w_n| <= limit; beyond it w by the wheels',
+        equation='|w_n - offset| <= limit; beyond it w by the wheels',
         usual_size='60 to 300 deg/s',
         best_motion='turns faster than the range of the sensor',
         twins=('scale_cubic', 'scale_factor'),
@@ -59,11 +69,13 @@ class RateSaturation:
             typical=TypicalRange(math.radians(85.0), math.radians(50.0), signed=False),
         ),
     )
+    offset_rad_s: float = 0.0
+    """Middle of the limits of the two sides: the zero of a sensor may lie beside the middle of its range."""
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
         """Replace a clipped rate by that of the wheels, with its standard deviation."""
         rate = block.rate_rad_s[:, 2]
-        clipped = np.abs(rate) >= AT_LIMIT * values[0]
+        clipped = np.abs(rate - self.offset_rad_s) >= AT_LIMIT * values[0]
         by_wheels = block.wheel_turn_rad / block.dt_s
         beyond = np.maximum(np.abs(by_wheels) - np.abs(rate), 0.0) * np.sign(rate)
         noise = WHEEL_TURN_ERROR * np.maximum(np.abs(by_wheels), np.abs(rate))
@@ -76,31 +88,64 @@ class RateSaturation:
 
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
         """Clip the readings at the limit, to both sides."""
-        return np.clip(nominal_rad_s, -values[0], values[0])
+        return np.clip(nominal_rad_s, self.offset_rad_s - values[0], self.offset_rad_s + values[0])
 
     def detect(self, readings: GyroReadings) -> DetectedLimit | None:
         """Find the rate at which the largest readings accumulate: a limit, or the usual turning rate."""
-        size = np.abs(readings.rate_rad_s)
-        if len(size) <= OUTLIERS:
+        limit = _accumulation(np.abs(readings.rate_rad_s), readings)
+        if limit is None:
             return None
-        top = TOP_PART * float(np.partition(size, -OUTLIERS)[-OUTLIERS])
-        rate_hz = NS_PER_S / float(np.median(np.diff(readings.t_ns)))
-        at_top = size[size > top]
-        if len(at_top) <= OUTLIERS + MIN_TOP_S * rate_hz:
-            return None
-        limit = float(np.median(at_top))
         if any(_passed(side * readings.rate_rad_s, limit) > OUTLIERS for side in (1.0, -1.0)):
             return None
         return DetectedLimit(limit, is_certain=False)
 
+    def of_each_side(self, readings: GyroReadings) -> RateSaturation | None:
+        """Return limits of both sides that differ, as readings of each accumulate; one side may have none.
+
+        None if both sides have the same limit, or none, or if the slower one has none.
+        """
+        sides = readings.rate_rad_s, -readings.rate_rad_s
+        limits = [_limit_of_side(rate, readings) for rate in sides]
+        if limits == [None, None]:
+            return None
+        left, right = (
+            BEYOND * _largest(rate) if limit is None else limit
+            for rate, limit in zip(sides, limits, strict=True)
+        )
+        is_one = min(left, right) > AT_LIMIT * max(left, right)
+        if is_one or limits[0 if left < right else 1] is None:  # the slower side has none
+            return None
+        return replace(with_means(self, (0.5 * (left + right),)), offset_rad_s=0.5 * (left - right))
+
     def rate_error(self, rate_rad_s: Array, limit: float) -> tuple[Array, Array]:
         """Return the sign of readings at the limit: there the turn is underestimated by an unknown amount."""
-        side = np.where(np.abs(rate_rad_s) >= TOP_PART * limit, np.sign(rate_rad_s), 0.0)
+        side = np.where(np.abs(rate_rad_s - self.offset_rad_s) >= TOP_PART * limit, np.sign(rate_rad_s), 0.0)
         return side, np.zeros_like(side)
 
     def is_plausible(self, readings: GyroReadings, limit: float) -> bool:
         """Return True: no reading can contradict the limit."""
         return True
+
+
+def _limit_of_side(rate_rad_s: Array, readings: GyroReadings) -> float | None:
+    """Return the rate at which the largest of the readings (n,), positive to one side, accumulate."""
+    limit = _accumulation(np.maximum(rate_rad_s, 0.0), readings)
+    return None if limit is None or _passed(rate_rad_s, limit) > OUTLIERS else limit
+
+
+def _largest(rate_rad_s: Array) -> float:
+    """Return the largest of the rates (n,) but for outliers."""
+    return float(np.partition(rate_rad_s, -OUTLIERS)[-OUTLIERS])
+
+
+def _accumulation(size_rad_s: Array, readings: GyroReadings) -> float | None:
+    """Return the rate at which the largest of the rates (n,) accumulate; None where they do not."""
+    if len(size_rad_s) <= OUTLIERS:
+        return None
+    top = TOP_PART * _largest(size_rad_s)
+    rate_hz = NS_PER_S / float(np.median(np.diff(readings.t_ns)))
+    at_top = size_rad_s[size_rad_s > top]
+    return float(np.median(at_top)) if len(at_top) > OUTLIERS + MIN_TOP_S * rate_hz else None
 
 
 def _passed(rate_rad_s: Array, limit: float) -> int:

@@ -185,6 +185,14 @@ class LimitEffect(Protocol):
 
 
 @runtime_checkable
+class LimitOfEachSide(Protocol):
+    """Optional part of a limit of the rate whose two sides may have limits of their own."""
+
+    def of_each_side(self, readings: GyroReadings) -> Effect | None:
+        """Find a limit of each side; None where the readings show the same for both, or not for both."""
+
+
+@runtime_checkable
 class ScannedColumns(Protocol):
     """Optional part of a gyro effect with a scan: all values of the scan at once, for speed."""
 

@@ -13,6 +13,9 @@ from gyrocal_ros.diagnose.analysis.drift import BlindDrift
 from gyrocal_ros.diagnose.analysis.regimes import Failure
 from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.effects.base import shown_in
+from gyrocal_ros.effects.model_file import own_options
+from gyrocal_ros.effects.registry import find_effect
+from gyrocal_ros.effects.traits import is_limit
 from gyrocal_ros.ekf.history.run import Run, RunEvent
 from gyrocal_ros.model.sensor import Effect
 
@@ -78,9 +81,13 @@ def failures_in_words(failures: Sequence[Failure], most: int = 5) -> Iterator[st
 
 
 def coefficients_in_words(effect: Effect, values: Array, stds: Array) -> str:
-    """Return `c = 0.0101 ± 0.0002` for each coefficient, angles in degrees."""
+    """Return `c = 0.0101 ± 0.0002` for each coefficient, angles in degrees, and what else makes a limit."""
     items = zip(effect.coefficients, values.tolist(), stds.tolist(), strict=True)
-    return ', '.join(f'{item.name} = {quantity(value, std, item.unit)}' for item, value, std in items)
+    words = [f'{item.name} = {quantity(value, std, item.unit)}' for item, value, std in items]
+    if is_limit(effect):
+        own = own_options(effect, find_effect(effect.name))
+        words += [f'{name} = {value:.4g}' for name, value in own.items()]
+    return ', '.join(words)
 
 
 def meaning(name: str, value: float, std: float) -> str:

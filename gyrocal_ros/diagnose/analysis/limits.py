@@ -20,7 +20,14 @@ from gyrocal_ros.effects.traits import may_break_the_filter
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.state.layout import YAW_BIAS
 from gyrocal_ros.model.recording import GyroReadings
-from gyrocal_ros.model.sensor import DetectedLimit, Effect, LimitEffect, SensorModel, with_means
+from gyrocal_ros.model.sensor import (
+    DetectedLimit,
+    Effect,
+    LimitEffect,
+    LimitOfEachSide,
+    SensorModel,
+    with_means,
+)
 
 MIN_LOST_S = 10.0
 """Minimum time for which a limit that noise hides loses the readings: less does not show that it does."""
@@ -60,6 +67,11 @@ def propose_limits(
         settings: thresholds.
     """
     for effect in _missing_limits(run.model):
+        uneven = _of_each_side(effect, readings)
+        if uneven is not None:
+            limit = uneven.coefficients[0].prior_mean
+            if _is_confirmed(uneven, limit, run, seen, readings, others, settings):
+                yield LimitProposal(uneven)
         found = effect.detect(readings)  # type: ignore[attr-defined]
         if found is None:
             value = _hidden_by_noise(effect, run, seen, readings, others, settings)
@@ -78,7 +90,8 @@ def proven_limits(model: SensorModel, readings: GyroReadings) -> list[Effect]:
 def detected_limits(model: SensorModel, readings: GyroReadings) -> list[Effect]:
     """Return the limits, of those that may break the filter and the model lacks, that the readings show."""
     breaking = [effect for effect in _missing_limits(model) if may_break_the_filter(effect)]
-    return [with_means(effect, (limit.value,)) for effect, limit in _detected(breaking, readings)]
+    even = [with_means(effect, (limit.value,)) for effect, limit in _detected(breaking, readings)]
+    return [*filter(None, (_of_each_side(effect, readings) for effect in breaking)), *even]
 
 
 def _detected(limits: Iterable[Effect], readings: GyroReadings) -> Iterator[tuple[Effect, DetectedLimit]]:
@@ -87,6 +100,14 @@ def _detected(limits: Iterable[Effect], readings: GyroReadings) -> Iterator[tupl
         found = effect.detect(readings)  # type: ignore[attr-defined]
         if found is not None:
             yield effect, found
+
+
+def _of_each_side(effect: Effect, readings: GyroReadings) -> Effect | None:
+    """Return a limit with another value to each side, if the readings show one.
+
+    The usual rate of the turns to one side looks like a limit as well: runs with each decide.
+    """
+    return effect.of_each_side(readings) if isinstance(effect, LimitOfEachSide) else None
 
 
 def _missing_limits(model: SensorModel) -> list[Effect]:

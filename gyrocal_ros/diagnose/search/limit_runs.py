@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import suppress
+from operator import itemgetter
 
 import numpy as np
 
@@ -42,6 +44,14 @@ def tried_limit(
     return best_size(present, limit, possible_sizes(limit, recording.readings), calibrate)
 
 
+def tried_limits(
+    present: ExaminedModel, limits: Sequence[Effect], recording: RecordingSummary, calibrate: Calibrate
+) -> list[tuple[Effect, float]]:
+    """Return limits as `tried_limit` does, the one that gains most first."""
+    tried = [tried_limit(present, limit, recording, calibrate) for limit in limits]
+    return sorted(tried, key=itemgetter(1), reverse=True)
+
+
 def with_limit(
     present: ExaminedModel, limit: Effect, recording: RecordingSummary, calibrate: Calibrate
 ) -> Addition | None:
@@ -62,8 +72,8 @@ def limit_instead_of_timing(
 
     A missing limit spoils the turns, as wrong stamps do, and nothing depends smoothly on it.
     """
-    for limit in detected_limits(present.model, recording.readings):
-        sized, gain = tried_limit(present, limit, recording, calibrate)
+    limits = detected_limits(present.model, recording.readings)
+    for sized, gain in tried_limits(present, limits, recording, calibrate):
         if gain < present.settings.min_predictive_gain:
             continue
         limited = with_limit(present, sized, recording, calibrate)

@@ -36,6 +36,7 @@ from gyrocal_ros.diagnose.search.limit_runs import (
     limit_instead_of_timing,
     limits_to_check,
     tried_limit,
+    tried_limits,
     with_limit,
 )
 from gyrocal_ros.diagnose.search.limit_sizes import resized
@@ -266,15 +267,17 @@ def _next_addition(
     # there is none, the limit has to explain most of what is wrong.
     rival_gain = 0.0 if rival is None else rival.predictive_gain
     alike = []
-    for effect in (item.effect for item in limits if not item.is_certain):
-        sized, gain = tried_limit(present, effect, recording, calibrate)
+    uncertain = [item.effect for item in limits if not item.is_certain]
+    for sized, gain in tried_limits(present, uncertain, recording, calibrate):
         if gain >= rival_gain + settings.limit_margin:
             limited = with_limit(present, sized, recording, calibrate)
             if limited is not None and (rival is not None or explains_most(limited)):
                 return limited
         elif gain >= settings.limit_alike_part * rival_gain:
-            alike.append(effect.name)
-    return None if rival is None else unless_a_walk_explains(replace(rival, alike=tuple(alike)))
+            alike.append(sized.name)
+    return (
+        None if rival is None else unless_a_walk_explains(replace(rival, alike=tuple(dict.fromkeys(alike))))
+    )
 
 
 def _with_best(

@@ -301,6 +301,17 @@ class TestProposals:
         readings = GyroReadings(np.arange(len(noise)) * 10**7, bias_part * width + noise)
         assert RateDeadband().is_plausible(readings, width) == is_plausible
 
+    @pytest.mark.parametrize(('swing_deg_s', 'is_plausible'), [(0.45, False), (0.0, True)])
+    def test_a_swing_of_the_readings_is_no_dead_band(self, swing_deg_s: float, is_plausible: bool) -> None:
+        """Of a robot that hardly stands, the readings in the band are few, and their mean is zero."""
+        time_s = np.arange(60 * 100) / 100.0
+        turning = np.where(
+            time_s % 2.0 < 1.5, deg(30.0), deg(swing_deg_s) * np.sin(2.0 * np.pi * 0.8 * time_s)
+        )
+        read = turning + noise(len(time_s), 0.05)
+        recorded = GyroReadings(np.arange(len(time_s)) * 10**7, read)
+        assert RateDeadband().is_plausible(recorded, WIDTHS_RAD_S[4]) == is_plausible
+
     def test_a_run_tries_the_widths_that_the_readings_allow(self) -> None:
         """Readings of slow turns beyond the true width are no zeros."""
         made = banded(WIDTHS_RAD_S[2])

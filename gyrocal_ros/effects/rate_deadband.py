@@ -29,6 +29,9 @@ MIN_SECONDS = 10
 MAX_EDGE_PART = 0.5
 """Largest mean of the readings inside, as a part of the width, where such seconds are few. A bias near an
 edge is inside now and then because of the noise, and the mean is near the edge, too."""
+MAX_SPREAD_PART, MAX_SPREAD_RATIO = 0.45, 1.5
+"""Largest rms of the means inside, as a part of the width, and relative to what the noise of single readings
+explains. Rates that are read fill the width: slow turns or a swing have an rms of more than half of it."""
 MAX_VARIANCE_RATIO = 3.0
 """Largest variance of the means over a second, relative to what their noise explains, of dead readings."""
 NEAR_SAMPLES = 7
@@ -112,12 +115,18 @@ class RateDeadband:
         """Check that the readings inside are zero: they follow no bias and no slow turns."""
         count = max(round(MEAN_S * NS_PER_S / float(np.median(np.diff(readings.t_ns)))), 1)
         rate = readings.rate_rad_s[: len(readings.rate_rad_s) // (MEANS * count) * MEANS * count]
-        means = rate.reshape(-1, MEANS, count).mean(axis=2)
+        rate = rate.reshape(-1, MEANS, count)
+        means = rate.mean(axis=2)
         is_inside = np.abs(means) < limit
         inside, pieces = means[np.all(is_inside, axis=1)], means[is_inside]
         if len(inside) < MIN_SECONDS:
-            is_short = MEAN_S * len(pieces) < MIN_SECONDS
-            return is_short or abs(float(pieces.mean())) <= MAX_EDGE_PART * limit
+            if MEAN_S * len(pieces) < MIN_SECONDS:
+                return True
+            steps = np.diff(rate[is_inside], axis=1)
+            by_noise = math.sqrt(0.5 * float(np.mean(steps**2)) / count) if count > 1 else 0.0
+            spread = max(MAX_SPREAD_PART * limit, MAX_SPREAD_RATIO * by_noise)
+            is_zero = abs(float(pieces.mean())) <= MAX_EDGE_PART * limit
+            return is_zero and math.sqrt(float(np.mean(pieces**2))) <= spread
         noise = 0.5 * float(np.mean(np.diff(inside, axis=1) ** 2)) / MEANS
         is_constant = float(np.var(inside.mean(axis=1))) <= MAX_VARIANCE_RATIO * noise
         largest = MAX_MEAN_SIGMA * math.sqrt(noise / len(inside)) + MAX_MEAN_PART * limit

@@ -20,7 +20,16 @@ from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.effects.learned.bump import Bump, bumps
 from gyrocal_ros.effects.learned.causes import closest_effect, library_effect, meaning
 from gyrocal_ros.effects.learned.curve import GRID, LENGTHS, Of, prior_stds
-from gyrocal_ros.effects.learned.drives import ABS_RATE, ANY_TURN, DYNAMICS, LAST_TURN, MOVING, SIDE, START
+from gyrocal_ros.effects.learned.drives import (
+    ABS_RATE,
+    ANY_TURN,
+    DYNAMICS,
+    LAST_TURN,
+    MOVING,
+    SIDE,
+    START,
+    since_rest,
+)
 from gyrocal_ros.effects.learned.effect_code import Closed
 from gyrocal_ros.effects.learned.forms import FORMS, Form
 from gyrocal_ros.effects.learned.formula import Formula
@@ -64,6 +73,7 @@ EFFECTS: tuple[GyroEffect, ...] = (
     formula('bias_memory:turn_side', 'at once'),
     formula('bias_memory:last_turn', 'fading exponential', 5.0),
     formula('bias_memory:any_turn', 'fading exponential', 5.0),
+    formula('bias_memory:last_rest', 'fading exponential', 5.0),
     formula('bias_memory:dynamics', 'second-order lag'),
     formula('scale_memory:start', 'fading hyperbola', 60.0),
     Bump().at((0.2, -0.1, 0.6)),
@@ -487,3 +497,23 @@ def assert_alike(effect: GyroEffect, in_model: GyroEffect) -> None:
         contribution(effect, blocks, values), contribution(in_model, blocks, values), strict=True
     ):
         np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-15)
+
+
+class TestSinceRest:
+    @staticmethod
+    def block(speeds_m_s: list[float]) -> MotionBlock:
+        block = eventful_block(len(speeds_m_s))
+        still = np.zeros(len(speeds_m_s))
+        dt_s = np.full(len(speeds_m_s), 0.5)
+        return replace(block, distance_m=0.5 * np.array(speeds_m_s), wheel_turn_rad=still, dt_s=dt_s)
+
+    def test_the_time_counts_from_the_end_of_a_rest(self) -> None:
+        drives, elapsed_s, _ = since_rest(self.block([0.3, 0.3, 0.0, 0.0, 0.3, 0.3, 0.0, 0.3]), None)
+        assert drives.tolist() == [1.0, 1.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0], 'a short stop is no rest'
+        assert elapsed_s[4:].tolist() == [0.5, 1.0, 1.5, 2.0]
+
+    def test_the_time_begins_again_after_the_next_rest(self) -> None:
+        first, _, memory = since_rest(self.block([0.0, 0.0, 0.3, 0.0]), None)
+        then, elapsed_s, _ = since_rest(self.block([0.0, 0.3]), memory)
+        assert first.tolist() == [0.0, 0.0, 1.0, 1.0] and then.tolist() == [0.0, 1.0]
+        assert elapsed_s[1] == 0.5

@@ -49,7 +49,7 @@ from gyrocal_ros.effects.learned import curve, formula, memory, wave
 from gyrocal_ros.effects.learned.as_effect import effect_source
 from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.curve import LENGTHS, prior_stds
-from gyrocal_ros.effects.learned.drives import driven, lag, since_turn
+from gyrocal_ros.effects.learned.drives import driven, lag, since_rest, since_turn
 from gyrocal_ros.effects.learned.forms import FORMS
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import MEMORY_FORMS
@@ -65,6 +65,7 @@ from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import InMemorySource, preload
 from gyrocal_ros.report.laws import law_in_words
 from gyrocal_ros.report.laws_figures import law_sections
+from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.hidden import DrawnEffect, draw_hidden, hide
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.strangers import STRANGERS
@@ -79,8 +80,14 @@ Plain = tuple[InMemorySource, RecordingSummary, ExaminedModel]
 def recording(
     *drawn: DrawnEffect, seconds: float = 150.0, seed: int = 1, camera_hz: int = 3
 ) -> InMemorySource:
-    scenario = replace(find_scenario('cleaning'), duration_s=seconds, imu_hz=100, camera_hz=camera_hz)
-    source, _ = preload(SimSource(scenario, seed, hidden=hide(drawn, find_effect)), Config(), default_model())
+    return simulated('cleaning', hide(drawn, find_effect), seconds, seed, camera_hz)
+
+
+def simulated(
+    name: str, hidden: tuple[HiddenEffect, ...], seconds: float, seed: int = 1, camera_hz: int = 3
+) -> InMemorySource:
+    scenario = replace(find_scenario(name), duration_s=seconds, imu_hz=100, camera_hz=camera_hz)
+    source, _ = preload(SimSource(scenario, seed, hidden=hidden), Config(), default_model())
     assert isinstance(source, InMemorySource)
     return source
 
@@ -269,18 +276,20 @@ class TestClosedFormsOfMemories:
     DT_S, COUNT, NOISE = 0.02, 15_000, 0.02
 
     def motion(self) -> MotionBlock:
-        """Return turns of random size, length and distance, and a voltage that jumps now and then."""
+        """Return turns of random size, length and distance, rests, and a voltage that jumps now and then."""
         rng = np.random.default_rng(5)
         rate, voltage = np.zeros(self.COUNT), np.zeros(self.COUNT)
         for begin in np.cumsum(rng.integers(100, 900, 30)):
             rate[begin : begin + rng.integers(50, 150)] = rng.uniform(-1.5, 1.5)
             voltage[begin:] = rng.uniform(14.0, 16.0)
         rate = np.convolve(rate, np.hanning(26) / np.hanning(26).sum(), mode='same')
-        nothing = np.zeros(self.COUNT)
+        nothing, time_s = np.zeros(self.COUNT), self.DT_S * (np.arange(self.COUNT) + 0.5)
         return replace(
             eventful_block(self.COUNT),
-            time_s=self.DT_S * (np.arange(self.COUNT) + 0.5),
+            time_s=time_s,
             dt_s=np.full(self.COUNT, self.DT_S),
+            distance_m=0.3 * self.DT_S * (time_s % 20.0 > 3.0),
+            wheel_turn_rad=nothing,
             rate_rad_s=np.stack([nothing, nothing, rate], axis=1),
             covariates={VOLTAGE: voltage},
         )
@@ -343,6 +352,16 @@ class TestClosedFormsOfMemories:
         assert found.form.name == name and found.fits
         assert found.parameter == pytest.approx(9.0, rel=0.1)
 
+    def test_how_it_fades_after_a_rest_is_found(self) -> None:
+        def law(block: MotionBlock) -> Array:
+            drives, since_s, _ = since_rest(block, None)
+            faded: Array = drives * np.exp(-since_s / 6.0)
+            return faded
+
+        found = closed_forms(self.learned('last_rest', law), self.COUNT)[0]
+        assert found.form.name == 'fading exponential' and found.fits
+        assert found.parameter == pytest.approx(6.0, rel=0.1)
+
     def test_how_it_settles_after_the_start_is_found(self) -> None:
         found = closed_forms(self.learned('start', lambda block: np.exp(-block.time_s / 80.0)), self.COUNT)
         assert found[0].form.name == 'fading exponential' and found[0].library == 'bias_warmup'
@@ -377,6 +396,7 @@ class TestClosedFormsOfMemories:
             (VOLTAGE, f'since a unit step of {VOLTAGE}', f'a unit step of {VOLTAGE}'),
             ('last_turn', 'since the last turn ended', 'after a turn to the left'),
             ('any_turn', 'since the last turn ended', 'after a turn'),
+            ('last_rest', 'since the last rest ended', 'after a rest'),
             ('start', 'since the start', 'after the start'),
             ('dynamics', 'w is the yaw rate', 'where a turn to 1 rad/s sets in'),
         ],
@@ -470,6 +490,19 @@ def test_the_period_of_a_swing_is_refined(tmp_path: Path) -> None:
     assert abs(law.effect.period_s - 31.0) < min(0.03, abs(of_wave.period_s - 31.0))
     assert of_sine.name == of_wave.name == 'bias_wave:time'
     assert_replaceable(learned, recorded, source, tmp_path / 'own.py', 'law_bias_time_sine')
+
+
+@pytest.mark.thorough
+def test_a_bias_that_fades_after_rests_is_learned() -> None:
+    fading = formula('bias_memory:last_rest', 'fading exponential', 6.0)
+    source = simulated('rest_and_go', (HiddenEffect(fading, (0.35 * DEG,)),), seconds=150.0)
+    recorded = summarise_recording(source)
+    first = examine(default_model(), recorded, runner(source))
+    learned = learn(Search(first, ()), recorded, runner(source))
+    (law,) = learned.laws
+    assert law.effect.name == 'bias_memory:last_rest' and law.in_model_as == 'fading exponential'
+    assert law.effect.parameter == pytest.approx(6.0, rel=0.1)  # type: ignore[attr-defined]
+    assert learned.searched.last.run.state.coefficients[-1] == pytest.approx(0.35 * DEG, rel=0.05)
 
 
 @pytest.mark.thorough

@@ -113,6 +113,11 @@ def law(effect: Effect, *values: float) -> Any:
             'a turn to any side, fading after it',
         ),
         (
+            law(memory('bias', 'last_rest')),
+            'the bias goes with the end of a rest, fading after it',
+            'the end of a rest, fading after it',
+        ),
+        (
             law(memory('bias', 'dynamics')),
             'the bias goes with changes of the rate',
             'changes of the rate',

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from gyrocal_ros.diagnose.laws.bump_fit import BumpFit
 from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm
 from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, unit_of
-from gyrocal_ros.effects.learned.drives import ABS_RATE, ANY_TURN, LAST_TURN, MOVING, SIDE, START
+from gyrocal_ros.effects.learned.drives import ABS_RATE, ANY_TURN, LAST_REST, LAST_TURN, MOVING, SIDE, START
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.describe import with_std
 
@@ -31,6 +31,7 @@ DRIVES = {
     'turn_side': 'the side of the turns',
     'last_turn': 'the side of the last turn, and fades after it',
     'any_turn': 'the last turn, to any side, and fades after it',
+    'last_rest': 'the last rest, and fades after it',
     'moving': 'whether the robot moves',
     'start': 'the start',
 }
@@ -64,7 +65,8 @@ def variable_of(law: LearnedLaw) -> str:
         return f'x is {law.follows}, {unit_of(law.follows)}'
     if learned.over == 'dynamics':
         return 'w is the yaw rate, rad/s'
-    since = dict.fromkeys((LAST_TURN, ANY_TURN), 'the last turn ended') | {START: 'the start'}
+    since = dict.fromkeys((LAST_TURN, ANY_TURN), 'the last turn ended')
+    since |= {LAST_REST: 'the last rest ended', START: 'the start'}
     return f'x is the time since {since.get(law.follows, f"a unit step of {drive_in_words(law.follows)}")}, s'
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm, LearnedCurve, form_over
 from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.curve import Curve
-from gyrocal_ros.effects.learned.drives import ANY_TURN, START
+from gyrocal_ros.effects.learned.drives import ANY_TURN, LAST_REST, START
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.laws import drive_in_words, form_in_words
@@ -54,6 +54,8 @@ def _title_and_axis(effect: Curve | ExponentialBank) -> tuple[str, str]:
         return f'The {of} where a turn to 1 rad/s sets in', 'time (s)'
     if follows == START:
         return f'The {of} after the start', 'time (s)'
+    if follows == LAST_REST:
+        return f'The {of} after a rest', 'time since its end (s)'
     if effect.over == 'fading':
         side = '' if follows == ANY_TURN else ' to the left'
         return f'The {of} after a turn{side}', 'time since its end (s)'

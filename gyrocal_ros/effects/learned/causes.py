@@ -6,6 +6,7 @@ from gyrocal_ros.effects.learned.drives import (
     ABS_RATE,
     ANY_TURN,
     DYNAMICS,
+    LAST_REST,
     LAST_TURN,
     MOVING,
     SIDE,
@@ -40,6 +41,7 @@ _CLOSEST = {
     ('bias', SIDE): 'turn_hysteresis',
     ('bias', LAST_TURN): 'turn_hysteresis',
     ('bias', ANY_TURN): 'scale_asymmetry',
+    ('bias', LAST_REST): 'bias_warmup',
     ('bias', ABS_RATE): 'scale_asymmetry',
     ('bias', TEMPERATURE): 'bias_temperature',
     ('bias', MOVING): 'vibration_rectification',
@@ -69,6 +71,7 @@ _MEANINGS_OF_MEMORIES = {
     SIDE: 'hysteresis: strain or charge that a turn leaves behind (IEEE Std 528)',
     LAST_TURN: 'relaxation after a turn (Lee, Choi, Park, Myung 2012)',
     ANY_TURN: 'relaxation after a turn, or current or heat of the motors in turns',
+    LAST_REST: 'current of motors that start, or a sensor that sleeps at rest and settles when it wakes',
     ABS_RATE: 'heat of the motors in turns, which reaches the sensor late (Newton: law of cooling)',
     MOVING: 'heat, vibration or supply current of the motors while the robot drives',
     TEMPERATURE: 'the sensing element is warmed later than the thermometer, or a gradient of temperature '

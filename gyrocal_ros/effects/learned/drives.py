@@ -14,12 +14,14 @@ from gyrocal_ros.kernels import compiled
 from gyrocal_ros.model.sensor import Memory
 
 DYNAMICS, ABS_RATE, SIDE = 'dynamics', 'abs_rate', 'turn_side'
-LAST_TURN, ANY_TURN = 'last_turn', 'any_turn'
+LAST_TURN, ANY_TURN, LAST_REST = 'last_turn', 'any_turn', 'last_rest'
 MOVING, START = 'moving', 'start'
 TURNING_RAD_S = math.radians(5.0)
 """Rate above which the robot is in a turn."""
 MOVING_M_S = 0.02
 """Speed above which the robot drives."""
+REST_S = 1.0
+"""Time for which a robot stands that rests: it also stops for a moment between straight ways and turns."""
 ONSET_S = 0.3
 """Time in which a turn sets in, to show the dynamics."""
 SMOOTHED_S = 0.02
@@ -79,6 +81,21 @@ def since_turn(block: MotionBlock, memory: Memory) -> tuple[Array, Array, Memory
         last, elapsed_s = (side, 0.0) if side else (last, elapsed_s + dt_s)
         sides[row], times_s[row] = last, elapsed_s
     return sides, times_s, (last, elapsed_s)
+
+
+def since_rest(block: MotionBlock, memory: Memory) -> tuple[Array, Array, Memory]:
+    """Return 1 (N,) where the robot drives, else 0, and the time (N,) since it last rested.
+
+    It has rested before the first block. The memory comes third.
+    """
+    stood_s, elapsed_s = memory if memory is not None else (REST_S, 0.0)
+    drives, times_s = np.empty(len(block.dt_s)), np.empty(len(block.dt_s))
+    for row, (is_moving, dt_s) in enumerate(zip(moves(block).tolist(), block.dt_s.tolist(), strict=True)):
+        if is_moving and stood_s >= REST_S:
+            elapsed_s = 0.0
+        stood_s, elapsed_s = 0.0 if is_moving else stood_s + dt_s, elapsed_s + dt_s
+        drives[row], times_s[row] = stood_s < REST_S, elapsed_s
+    return drives, times_s, (stood_s, elapsed_s)
 
 
 def derivatives(block: MotionBlock, memory: Memory) -> tuple[Array, Array, Memory]:

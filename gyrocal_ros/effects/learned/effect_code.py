@@ -9,7 +9,7 @@ from typing import TypeAlias
 
 from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.curve import Of
-from gyrocal_ros.effects.learned.drives import ANY_TURN, START
+from gyrocal_ros.effects.learned.drives import ANY_TURN, LAST_REST, START
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER, SECOND_ORDER
 from gyrocal_ros.effects.learned.wave import ORDERS, Sine, Wave
@@ -49,13 +49,13 @@ AT_A_PLACE = '''    def columns(self, block: MotionBlock) -> Array:
 REMEMBERED = '''    def remembered(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
         """Return the terms of the form (N, {count}), and what the next block has to know."""
 '''
-FADING = """        # The side of the last turn, and the time since its end in s.
-        side, x, memory = since_turn(block, memory)
+FADING = """        # {what}, and the time since its end in s.
+        {factor}, x, memory = {helper}(block, memory)
         p = P
         terms = (
 {terms}
         )
-        return column(*({side} * term for term in terms)), memory
+        return column(*({signed} * term for term in terms)), memory
 """
 DYNAMICS = """        first, second, memory = derivatives(block, memory)
         return column({derivatives}), memory
@@ -143,9 +143,7 @@ def _remembered(effect: Formula, terms: Sequence[str]) -> Code:
     """Return the code of a form with a memory."""
     form, follows = effect.closed_form, effect.learned.follows
     if form.over == 'fading':
-        side = 'abs(side)' if follows == ANY_TURN else 'side'
-        helpers, body = 'since_turn', FADING.format(terms=_listed(terms), side=side)
-        x_is = 'x is the time since the last turn'
+        helpers, body, x_is = _fading(follows, terms)
     elif form.over == 'dynamics':
         helpers, body = (
             'derivatives',
@@ -159,6 +157,16 @@ def _remembered(effect: Formula, terms: Sequence[str]) -> Code:
     method, imports = REMEMBERED.format(count=len(terms)) + body, MEMORY_IMPORTS.format(helpers=helpers)
     constants = _constant(method, effect.constants)
     return Code(imports, 'LinearMemoryEffect', method, x_is, tuple(terms), constants)
+
+
+def _fading(follows: str, terms: Sequence[str]) -> tuple[str, str, str]:
+    """Return the helper, the code and the meaning of x of what fades after a turn or a rest."""
+    helper, factor, what = 'since_turn', 'side', 'The side of the last turn'
+    if follows == LAST_REST:
+        helper, factor, what = 'since_rest', 'drives', '1 where the robot drives after a rest, else 0'
+    signed = 'abs(side)' if follows == ANY_TURN else factor
+    body = FADING.format(terms=_listed(terms), what=what, factor=factor, helper=helper, signed=signed)
+    return helper, body, f'x is the time since the last {"rest" if follows == LAST_REST else "turn"}'
 
 
 def _constant(method: str, parameters: tuple[float, ...]) -> str:

@@ -11,7 +11,17 @@ import numpy as np
 from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearMemoryEffect, column, recorded
 from gyrocal_ros.effects.learned.curve import TYPICAL, UNIT, Curve, Of, curve
-from gyrocal_ros.effects.learned.drives import ABS_RATE, ANY_TURN, START, derivatives, driven, lag, since_turn
+from gyrocal_ros.effects.learned.drives import (
+    ABS_RATE,
+    ANY_TURN,
+    LAST_REST,
+    START,
+    derivatives,
+    driven,
+    lag,
+    since_rest,
+    since_turn,
+)
 from gyrocal_ros.effects.learned.forms import FORMS, Form, Over
 from gyrocal_ros.effects.learned.memory import ExponentialBank, memory
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER, MEMORY_FORMS, SECOND_ORDER
@@ -147,6 +157,9 @@ def _of_signal(effect: Formula, block: MotionBlock, before: Memory) -> tuple[Arr
 def _fading(effect: Formula, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
     if effect.learned.follows == START:
         return effect.closed_form.columns(block.time_s, effect.parameter), None
+    if effect.learned.follows == LAST_REST:
+        drives, elapsed_s, now = since_rest(block, before)
+        return drives[:, None] * effect.closed_form.columns(elapsed_s, effect.parameter), now
     side, elapsed_s, now = since_turn(block, before)
     side = np.abs(side) if effect.learned.follows == ANY_TURN else side
     return side[:, None] * effect.closed_form.columns(elapsed_s, effect.parameter), now

@@ -15,6 +15,7 @@ from gyrocal_ros.effects.learned.drives import (
     ABS_RATE,
     ANY_TURN,
     DYNAMICS,
+    LAST_REST,
     LAST_TURN,
     MOVING,
     SIDE,
@@ -24,6 +25,7 @@ from gyrocal_ros.effects.learned.drives import (
     low_pass,
     motion_drive,
     side_of,
+    since_rest,
     start_of_turn,
 )
 from gyrocal_ros.effects.learned.forms import Over
@@ -38,12 +40,13 @@ TAUS_S: dict[str, tuple[float, ...]] = {
     SIDE: (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     LAST_TURN: (2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     ANY_TURN: (2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
+    LAST_REST: (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     MOVING: (0.25, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0),
     START: (15.0, 30.0, 60.0, 120.0, 250.0),
 }
 """What a memory may be driven by, with its time constants: the rate less its low-pass, and that less its own
 low-pass; the rate; its magnitude; the side of the turn (-1, 0, 1); the side of the last turn, decaying after
-it; the same of a turn to any side; whether the wheels move (0, 1); a pulse at power-on."""
+it; the same of a turn to any side; the end of a rest; whether the wheels move (0, 1); a pulse at power-on."""
 DRIVES = {
     DYNAMICS: 'the rate less its low-pass, and that less its own',
     RATE: 'the rate',
@@ -51,6 +54,7 @@ DRIVES = {
     SIDE: 'the side of the turn: -1, 0 or 1',
     LAST_TURN: 'the side of the last turn, fading after it',
     ANY_TURN: 'a turn to any side, fading after it',
+    LAST_REST: 'the end of a rest, fading after it',
     MOVING: 'whether the wheels move: 0 or 1',
     START: 'a pulse at power-on',
 }
@@ -113,14 +117,14 @@ class ExponentialBank(LinearMemoryEffect):
     @property
     def over(self) -> Over:
         """What its response is a function of."""
-        if self.follows in (LAST_TURN, ANY_TURN, START):
+        if self.follows in (LAST_TURN, ANY_TURN, LAST_REST, START):
             return 'fading'
         return 'dynamics' if self.follows == DYNAMICS else 'response'
 
     def basis(self, values: Array) -> Array:
         """Return the responses (n, k) at times (n,) from 0 on.
 
-        They are those to a unit step of the drive, after a turn or the start, or to the start of a turn.
+        They are those to a unit step of the drive, after a turn, rest or start, or to the start of a turn.
         """
         if self.over == 'dynamics':
             dt_s = np.diff(values, prepend=values[0])
@@ -196,6 +200,11 @@ def _after_turn(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tu
     return h[1:], h[-1]
 
 
+def _after_rest(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
+    drives, elapsed_s, now = since_rest(block, before)
+    return drives[:, None] * np.exp(-elapsed_s[:, None] / bank.tau_s), now
+
+
 def _since_start(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
     return np.exp(-block.time_s[:, None] / bank.tau_s), None
 
@@ -208,5 +217,6 @@ _BANKS = {
     MOVING: _of_motion,
     LAST_TURN: _after_turn,
     ANY_TURN: _after_turn,
+    LAST_REST: _after_rest,
     START: _since_start,
 }

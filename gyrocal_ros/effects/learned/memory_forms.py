@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.effects.learned.drives import ANY_TURN, START, start_of_turn
+from gyrocal_ros.effects.learned.drives import ANY_TURN, LAST_REST, START, start_of_turn
 from gyrocal_ros.effects.learned.forms import Form
 from gyrocal_ros.effects.learned.signals import RATE
 
@@ -40,7 +40,9 @@ MEMORY_FORMS: tuple[Form, ...] = (
         over='response',
         not_of=(RATE,),
     ),
-    Form('lasting', '1.0', (lambda x, p: np.ones_like(x),), over='fading', not_of=(START, ANY_TURN)),
+    Form(
+        'lasting', '1.0', (lambda x, p: np.ones_like(x),), over='fading', not_of=(START, ANY_TURN, LAST_REST)
+    ),
     Form('fading exponential', 'np.exp(-x / p)', (lambda x, p: np.exp(-x / p),), _times, over='fading'),
     Form(
         'fading of the second order',

@@ -21,10 +21,10 @@ from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, with_
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording, white_noise
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise, shown_noise
-from gyrocal_ros.diagnose.search import noise_fit
-from gyrocal_ros.diagnose.search.additions import NONE, Addition, Search, addition
+from gyrocal_ros.diagnose.search import elimination, noise_fit
+from gyrocal_ros.diagnose.search.additions import NONE, Addition, Removal, Search, addition
 from gyrocal_ros.diagnose.search.elimination import eliminate, without_harm
-from gyrocal_ros.diagnose.search.improvement import improvement
+from gyrocal_ros.diagnose.search.improvement import improvement, removal_reason
 from gyrocal_ros.diagnose.search.noise_fit import NoiseFit, fit_noises, with_noise
 from gyrocal_ros.diagnose.search.search import continued
 from gyrocal_ros.diagnose.status import ADD_NOISE, LAW_OR_NOISE, diagnosis_status, improvement_status
@@ -188,6 +188,33 @@ def test_noise_with_which_the_robot_drifts_more_is_left_out(
     status = improvement_status(shown)
     assert status.level == 'yellow' and status.next_step == ADD_NOISE
     assert 'bias_instability' in status.sentence
+
+
+@pytest.mark.parametrize(('without_deg', 'is_removed'), [(1.9, True), (2.5, False), (math.nan, False)])
+def test_what_was_found_beside_a_harmful_noise_has_to_help_without_it(
+    without_deg: float, is_removed: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A cubic term made up for what the noise got wrong; one that is there helps without the noise, too."""
+
+    def examined(version: int) -> Mock:
+        return Mock(model=Mock(version=version))
+
+    names = ('bias_instability', 'scale_cubic')
+    noise, cubic = (
+        Mock(effect=find_effect(name), after=examined(version), is_rewritten=False)
+        for version, name in enumerate(names, 2)
+    )
+    removed = [
+        Removal(item.effect, Mock(), examined(version), 5.0) for version, item in enumerate((noise, cubic), 4)
+    ]
+    monkeypatch.setattr(elimination, 'without_addition', Mock(side_effect=removed))
+    monkeypatch.setattr(elimination, 'drift_of_both', Mock(return_value=(Mock(), Mock())))
+    monkeypatch.setattr(elimination, 'drifts_more', Mock(return_value=True))
+    monkeypatch.setattr(elimination, 'drift_of_both_deg', Mock(return_value=(without_deg, 2.2)))
+    found = without_harm(Search(examined(1), (noise, cubic)), Mock(), Mock())
+    assert [item.was_beside_noise for item in found.removals] == [False, True][: 1 + is_removed]
+    assert found.removals[0].is_harmful
+    assert ('it was found beside a noise' in removal_reason(found.removals[-1])) == is_removed
 
 
 @pytest.mark.slow

@@ -211,6 +211,8 @@ class Removal:
     """Distance from zero of its strongest coefficient beside all others, in standard deviations."""
     is_harmful: bool = False
     """True for a noise that is there, but with which the robot drifts more."""
+    was_beside_noise: bool = False
+    """True for an effect that was found beside such a noise, and with which the robot drifts no less."""
 
     @property
     def predictive_gain(self) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from gyrocal_ros.diagnose.analysis.drift import drift_of_both, drifts_more
+from gyrocal_ros.diagnose.analysis.drift import drift_of_both, drift_of_both_deg, drifts_more
 from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, without_effect
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search.additions import Addition, Removal, Search
@@ -51,7 +51,7 @@ def without_harm(searched: Search, recording: RecordingSummary, calibrate: Calib
     With a larger walk of the bias the filter follows what disturbs the gyro, and between two images that
     helps. Where the disturbance comes and goes, its last value is a poor guess for a minute without images.
     By chance the drift may rise a little with a bias that truly walks; without its noise the scale factor
-    would seem to change.
+    would seem to change. What was found beside a noise that is left out stays only if the robot drifts less.
 
     Args:
         searched: a finished search.
@@ -64,6 +64,24 @@ def without_harm(searched: Search, recording: RecordingSummary, calibrate: Calib
         removal = without_addition(searched.last, noise, recording, calibrate)
         if removal is not None and drifts_more(*drift_of_both(removal.after.run, searched.last.run)):
             searched = replace(searched, removals=(*searched.removals, replace(removal, is_harmful=True)))
+            searched = _without_what_came_after(noise, searched, recording, calibrate)
+    return searched
+
+
+def _without_what_came_after(
+    noise: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate
+) -> Search:
+    """Remove effects that were found beside a noise that is left out, if the drift is no less with them."""
+    for item in searched.additions[searched.additions.index(noise) + 1 :]:
+        if item not in searched.kept or is_noise(item.effect):
+            continue
+        removal = without_addition(searched.last, item, recording, calibrate)
+        if removal is None:
+            continue
+        without_deg, with_deg = drift_of_both_deg(removal.after.run, searched.last.run)
+        if without_deg <= with_deg:
+            removal = replace(removal, was_beside_noise=True)
+            searched = replace(searched, removals=(*searched.removals, removal))
     return searched
 
 

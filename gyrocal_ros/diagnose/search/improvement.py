@@ -207,6 +207,8 @@ def removal_reason(removal: Removal) -> str:
     """Return why an effect was removed, as a clause."""
     if removal.is_harmful:
         return 'the gyro has this noise, but the robot drifts more with it'
+    if removal.was_beside_noise:
+        return 'it was found beside a noise that is left out'
     if removal.is_needed:
         return 'beside the other effects it is smaller, and is added again'
     if math.isinf(removal.distance):

@@ -240,6 +240,16 @@ def test_noise_that_the_readings_show_does_not_contain_what_an_effect_does_to_th
     assert found is not None and found.effect.coefficients[0].prior_mean == pytest.approx(density, rel=0.05)
 
 
+def test_corrections_of_the_way_are_no_white_noise() -> None:
+    """A robot along a wall turns a little to and fro in every reading; turns on the spot are steady."""
+    density, rng = 0.005 * DEG, np.random.default_rng(4)
+    t_ns = np.arange(6000) * 20_000_000
+    turns = np.where(t_ns // 10**9 % 10 < 6, 60.0 * DEG, 0.0)
+    corrected = np.where(turns == 0.0, 1.0 * DEG * rng.choice([-1.0, 1.0], 6000), 0.0)
+    read = turns + corrected + density * math.sqrt(50.0) * rng.normal(size=6000)
+    assert white_noise(GyroReadings(t_ns, read)) == pytest.approx(density, rel=0.1)
+
+
 @pytest.mark.parametrize('seed', [1, 2, 3])
 def test_a_vibration_is_no_white_noise(seed: int) -> None:
     """That of a brush, 2 deg/s at 27 Hz, beside white noise: half of a minute straight on, half in turns."""

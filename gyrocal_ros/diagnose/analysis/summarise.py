@@ -128,10 +128,13 @@ def scatter_in_turns(readings: GyroReadings) -> tuple[float, float]:
 def _density(rate_rad_s: Array, interval_s: float) -> float:
     """Return the density of the white noise of a rate (N,).
 
-    The slower half counts: noise may grow with the rate.
+    That of the slower or of the faster half counts, which is smaller: noise may grow with the rate, and a
+    robot that keeps correcting its way turns by jerks while it drives straight on.
     """
     bends, speeds = _bends(rate_rad_s)
-    return robust_std(bends[speeds <= np.median(speeds)]) * math.sqrt(interval_s / 6.0)
+    is_slow = speeds <= np.median(speeds)
+    halves = [bends[half] for half in (is_slow, ~is_slow) if half.any()]
+    return min(robust_std(half) for half in halves) * math.sqrt(interval_s / 6.0)
 
 
 def _readings_per_mean(readings: GyroReadings) -> int:

@@ -117,7 +117,7 @@ class EkfSlam:
         self._levelling: Levelling | None = None
         if rig.camera is None:
             self._levelling, self.state = Levelling(), unlevelled(self.state)
-        self._watch = CalibrationWatch(
+        self.watch = CalibrationWatch(
             self.state,
             model,
             config,
@@ -129,7 +129,7 @@ class EkfSlam:
             is_stored=start is not None,
             follows_changes=follows_changes,
         )
-        self.state = self._watch.begin(self.state)
+        self.state = self.watch.begin(self.state)
         self.expect_pixel_noise(config.camera.pixel_noise_px)
 
     def step(self, block: MotionBlock, seen: Seen | None = None) -> StepRecord:
@@ -152,7 +152,7 @@ class EkfSlam:
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
         gyro, sway = self._noise_at_rest(block, gyro, is_at_rest=is_at_rest)
         transition = self._predict(before, block, steady, gyro)
-        predicted = self.state = self._watch.wander(self.state, block.duration_s)
+        predicted = self.state = self.watch.wander(self.state, block.duration_s)
 
         # Zero-rate update: a robot that stands still does not turn.
         resting = UpdateStats()
@@ -172,7 +172,7 @@ class EkfSlam:
 
         # Tests: scale factor or camera may be wrong. At rest images err alike, for the position is kept.
         stats = resting, update.stats.of_first(0) if resting.dof else update.stats
-        self.state, suspicions = self._watch.test(
+        self.state, suspicions = self.watch.test(
             before, predicted, self.state, block.duration_s, stats, self.track_noise
         )
 
@@ -193,14 +193,14 @@ class EkfSlam:
     @property
     def finding(self) -> str:
         """What is wrong with the gyro, the camera or the heading reference; empty where nothing is."""
-        return self._way.finding or self._watch.finding
+        return self._way.finding or self.watch.finding
 
     def _gyro_noise(self, block: MotionBlock) -> GyroConfig:
         """Return the noise of the gyro in motion."""
         gyro = self.config.gyro
         if self._levelling is None:  # the noise of a heading reference is learned with that of the gyro
             gyro = self._steady.with_noise(block, gyro, self._effects)
-        return self._watch.walk(gyro)
+        return self.watch.walk(gyro)
 
     def _noise_at_rest(
         self, block: MotionBlock, gyro: GyroConfig, *, is_at_rest: bool
@@ -358,7 +358,7 @@ class EkfSlam:
 
     def time_offset_s(self) -> float:
         """Return the estimated stamp error of images or headings: stamp minus true time."""
-        offset_s = self._heading.time_offset_s + self._watch.time_offset_s
+        offset_s = self._heading.time_offset_s + self.watch.time_offset_s
         for _, place in self._effects.time:
             offset_s += float(self.state.coefficients[place][0])
         return offset_s

@@ -76,6 +76,7 @@ def run_filter(
             scores=recorder.scores(),
             signal_names=recorder.signal_names,
             features=recorder.features(),
+            unfollowed_walk=slam.watch.unfollowed_walk,
         )
 
     try:

@@ -14,6 +14,7 @@ from gyrocal_ros.ekf.history.run import History, Run
 from gyrocal_ros.ekf.history.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.history.turn_agreement import mounting_fault
 from gyrocal_ros.ekf.map_watch import LOSES_MAPS, loses_its_map
+from gyrocal_ros.ekf.noise.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.noise.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.ekf.watches.scale_watch import SCALE_CHANGED
@@ -146,6 +147,8 @@ def _misfits(run: Run, scatter: Scatter, drift_deg: float, by_noise_deg: float) 
             'from stretch to stretch the estimates change by '
             f'{scatter.inflation.max():.0f} times what the filter expects'
         )
+    if run.unfollowed_walk >= MUCH_WALK:
+        yield walks_more(run.unfollowed_walk, 'at least ')
     if drift_deg > MAX_DRIFT_RATIO * by_noise_deg:
         yield (
             f'the heading drifts by {drift_deg:.2f} deg in {SPAN_S:.0f} s without the camera, of which noise '

@@ -199,6 +199,8 @@ class Run:
     """Names of the q other recorded numbers of the history."""
     features: FeatureLikelihoods | None = None
     """Features that the steps have used, for the comparison of models."""
+    unfollowed_walk: float = 1.0
+    """Random walk of the bias, relative to the settings, that is certain and was not followed."""
 
     def signal(self, name: str) -> Array:
         """Return one of the other recorded numbers (s,)."""

@@ -116,6 +116,11 @@ class CalibrationWatch:
         """Stamp minus true time of the images, as far as the filter follows it."""
         return 0.0 if self._camera is None else self._camera.time_offset_s
 
+    @property
+    def unfollowed_walk(self) -> float:
+        """Random walk of the bias, relative to the settings, that is certain and not followed."""
+        return 1.0 if self._noise is None or self._follows_changes else self._noise.least_walk
+
     def begin(self, state: State) -> State:
         """Return the state from which changes of the scale factor are tested."""
         return self._scale.begin(state)

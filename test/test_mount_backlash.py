@@ -12,6 +12,7 @@ from recordings import recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
+from gyrocal_ros.diagnose.analysis.model_fit import turn_against_body_rad
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.mount_backlash import MountBacklash
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
@@ -79,3 +80,14 @@ def test_the_filter_estimates_the_play(play_deg: float) -> None:
     history = calibrate(source, Config(), replace(model, effects=(*model.effects, loose))).history
     found_deg = math.degrees(history.mean[-1, COEFFICIENTS_START + 1])
     assert found_deg == pytest.approx(play_deg, rel=0.2)
+
+
+@pytest.mark.parametrize(('play_deg', 'turn_deg'), [(-0.4, 0.4), (0.4, 0.0)])
+def test_a_loose_camera_turns_against_the_robot(play_deg: float, turn_deg: float) -> None:
+    """So the heading of the map may differ from that of the robot by the play: that is no drift."""
+    assert EFFECT.turn_against_body_rad(np.array([play_deg * DEG])) == pytest.approx(turn_deg * DEG)
+    loose = with_means(EFFECT, (play_deg * DEG,))
+    model = replace(default_model(), effects=(*default_model().effects, loose))
+    run = calibrate(recording(duration_s=20.0), Config(), model)
+    state = replace(run.state, mean=np.append(run.state.mean[:COEFFICIENTS_START], [0.0, play_deg * DEG]))
+    assert turn_against_body_rad(replace(run, state=state)) == pytest.approx(turn_deg * DEG)

@@ -68,6 +68,10 @@ class MountBacklash(LinearMemoryEffect):
         places = _followed(rate_rad_s * block.dt_s, crossed_in_rad, place)
         return column(0.5 * np.diff(places) / block.dt_s), float(places[-1])
 
+    def turn_against_body_rad(self, values: Array) -> float:
+        """Return the play of a loose camera, by which its heading differs from that of the robot."""
+        return max(-float(values[0]), 0.0)
+
     def readings(self, nominal_rad_s: Array, dt_s: Array, values: Array, scale_factor: float) -> Array:
         """Return what a loose gyro reads, or one on a robot that turns a loose camera."""
         play_rad = abs(float(values[0])) / scale_factor

@@ -193,6 +193,14 @@ class LimitOfEachSide(Protocol):
 
 
 @runtime_checkable
+class MovesAgainstBody(Protocol):
+    """Optional part of an effect by which the camera, and the map with it, turns against the robot's body."""
+
+    def turn_against_body_rad(self, values: Array) -> float:
+        """Return the largest change of the angle between both at the coefficient values (k,)."""
+
+
+@runtime_checkable
 class ScannedColumns(Protocol):
     """Optional part of a gyro effect with a scan: all values of the scan at once, for speed."""
 

@@ -9,7 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array, seconds
-from gyrocal_ros.diagnose.analysis.drift import SPAN_S, BlindDrift, blind_drift, held_out_from_s, last_seen_s
+from gyrocal_ros.diagnose.analysis.drift import (
+    SPAN_S,
+    BlindDrift,
+    blind_drift,
+    held_out_from_s,
+    last_seen_s,
+)
 from gyrocal_ros.ekf.history.run import History, Run
 from gyrocal_ros.ekf.history.scatter import Scatter, scatter_of
 from gyrocal_ros.ekf.history.turn_agreement import mounting_fault
@@ -18,6 +24,7 @@ from gyrocal_ros.ekf.noise.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.noise.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.ekf.watches.scale_watch import SCALE_CHANGED
+from gyrocal_ros.model.sensor import MovesAgainstBody
 from gyrocal_ros.statistics import nis_per_dof
 
 CALIBRATED_S = 60.0
@@ -91,8 +98,9 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
     """Return the rms blind drift that noise explains; NaN where there is no span.
 
     It adds the headings at both ends, the white noise and the bias walk of the gyro, turns that it could not
-    read, and the uncertainty of bias and coefficients at the beginning of each span. A bias that walks by
-    more than the settings say is no such noise: an effect may be behind it.
+    read, the uncertainty of bias and coefficients at the beginning of each span, and turns of the camera
+    against the robot. A bias that walks by more than the settings say is no such noise: an effect may be
+    behind it.
     """
     history = run.history
     noise = yaw_noise_of(run.model, run.config.gyro, history.turn_rad / history.dt_s)
@@ -113,8 +121,20 @@ def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
         bias_std = np.minimum.accumulate(bias_std)
     variance += (bias_std[first] * span_s) ** 2
     by_coefficients = (columns[last] - columns[first]) * history.std[first, COEFFICIENTS_START:]
-    variance += np.sum(by_coefficients**2, axis=1)
+    variance += np.sum(by_coefficients**2, axis=1) + turn_against_body_rad(run) ** 2
     return float(np.degrees(np.sqrt(np.mean(variance)))) if len(variance) else math.nan
+
+
+def turn_against_body_rad(run: Run) -> float:
+    """Return by how much the camera may turn against the robot, by the effects in the model.
+
+    The heading of the map is that of the camera, and where it lies in its play is not known exactly.
+    """
+    ends = np.cumsum([len(effect.coefficients) for effect in run.model.effects])
+    parts = np.split(run.state.coefficients, ends[:-1])
+    pairs = zip(run.model.effects, parts, strict=True)
+    moved = [item.turn_against_body_rad(part) for item, part in pairs if isinstance(item, MovesAgainstBody)]
+    return float(sum(moved))
 
 
 def _unread_variance(unread_rad: Array) -> Array:

@@ -11,7 +11,7 @@ import numpy as np
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.analysis.drift import better_sigma, drift_of_both
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, coefficient_places
-from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg, model_fit
+from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg, model_fit, turn_against_body_rad
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.effects.traits import has_impossible_sign, scanned_coefficient
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
@@ -162,16 +162,17 @@ class Addition:
 
         Only spans count that begin when the effect is known: a coefficient that nothing has shown yet makes
         any heading drift. Drift that the model expects does not count against it: with a noise the filter
-        follows the bias faster, and in a short recording a span begins while the scale factor is a guess.
-        That readings beyond a limit tell nothing is no excuse: with what they tell, the robot drifted less.
-        A rise by chance does not count against a clear gain: with two effects, what is missing of one may
-        make up for the other in the few spans of a recording.
+        follows the bias faster, a loose camera turns against the robot, and in a short recording a span
+        begins while the scale factor is a guess. That readings beyond a limit tell nothing is no excuse: with
+        what they tell, the robot drifted less. A rise by chance does not count against a clear gain: with two
+        effects, what is missing of one may make up for the other in the few spans of a recording.
         """
         if self.before is None:
             return False
         earlier, later = drift_of_both(self.before.run, self.after.run, self.known_from_s)
         expecting = self.before.run if isinstance(self.effect, LimitEffect) else self.after.run
-        least_deg = max(earlier.rms_deg, drift_by_noise_deg(expecting, later))
+        turned_deg = math.degrees(turn_against_body_rad(self.after.run))
+        least_deg = max(math.hypot(earlier.rms_deg, turned_deg), drift_by_noise_deg(expecting, later))
         if not later.rms_deg > self.after.settings.max_drift_rise * least_deg:
             return False
         is_chance = better_sigma(earlier, later) > -CHANCE_SIGMA

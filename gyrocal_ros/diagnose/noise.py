@@ -52,7 +52,7 @@ MORE_DRIFT = 2.0
 filter that follows the bias predicts the next image as well as the law behind it."""
 CLEARLY_LESS_SIGMA = 2.0
 """Significance from which the drift with a law is less than that with a noise, whose place it then takes."""
-READ_PART = 0.2
+READ_PART = 0.4
 """Part of a white noise that the readings must show: a low-pass filter in the gyro may hide the rest."""
 WALK_PART = 0.6
 """Part of a random walk of the bias that the readings must show; no filter hides it."""

@@ -62,9 +62,12 @@ def without_harm(searched: Search, recording: RecordingSummary, calibrate: Calib
         if not drifts_more(*drift_of_both(searched.first.run, searched.last.run)):
             break
         removal = without_addition(searched.last, noise, recording, calibrate)
-        if removal is not None and drifts_more(*drift_of_both(removal.after.run, searched.last.run)):
-            searched = replace(searched, removals=(*searched.removals, replace(removal, is_harmful=True)))
-            searched = _without_what_came_after(noise, searched, recording, calibrate)
+        if removal is None:
+            continue
+        without = replace(searched, removals=(*searched.removals, replace(removal, is_harmful=True)))
+        without = _without_what_came_after(noise, without, recording, calibrate)
+        if drifts_more(*drift_of_both(without.last.run, searched.last.run)):
+            searched = without
     return searched
 
 
@@ -72,7 +75,8 @@ def _without_what_came_after(
     noise: Addition, searched: Search, recording: RecordingSummary, calibrate: Calibrate
 ) -> Search:
     """Remove effects that were found beside a noise that is left out, if the drift is no less with them."""
-    for item in searched.additions[searched.additions.index(noise) + 1 :]:
+    names = [item.effect.name for item in searched.additions]
+    for item in searched.additions[names.index(noise.effect.name) + 1 :]:
         if item not in searched.kept or is_noise(item.effect):
             continue
         removal = without_addition(searched.last, item, recording, calibrate)

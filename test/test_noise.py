@@ -15,11 +15,11 @@ from synthetic import readings, turning_rad_s
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array, MotionBlock, Source
-from gyrocal_ros.diagnose import noise
+from gyrocal_ros.diagnose import diagnosis, noise
 from gyrocal_ros.diagnose.analysis.drift import drift_of_both, drifts_more
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording, white_noise
-from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
+from gyrocal_ros.diagnose.diagnosis import Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.noise import MIN_GAIN, MORE_DRIFT, find_missing, or_noise, shown_noise
 from gyrocal_ros.diagnose.search import elimination, noise_fit
 from gyrocal_ros.diagnose.search.additions import NONE, Addition, Removal, Search, addition
@@ -188,6 +188,18 @@ def test_noise_with_which_the_robot_drifts_more_is_left_out(
     status = improvement_status(shown)
     assert status.level == 'yellow' and status.next_step == ADD_NOISE
     assert 'bias_instability' in status.sentence
+
+
+@pytest.mark.parametrize(('after_deg', 'is_named'), [(5.2, False), (4.0, True), (math.nan, True)])
+def test_what_is_found_beside_a_harmful_noise_is_named_if_the_robot_drifts_less(
+    after_deg: float, is_named: bool
+) -> None:
+    figures = np.ones(1), np.ones(1), 50.0, 5.0, 1e-6
+    walk = MissingEffect(find_effect('bias_instability'), *figures, 1.9, 4.4, (), raises_drift=True)
+    cubic = MissingEffect(find_effect('scale_cubic'), *figures, 4.4, after_deg, ())
+    assert list(diagnosis._not_of_noise([walk, cubic])) == [walk, cubic][: 1 + is_named]
+    harmless = replace(walk, raises_drift=False)
+    assert list(diagnosis._not_of_noise([harmless, cubic])) == [harmless, cubic]
 
 
 @pytest.mark.parametrize(('without_deg', 'is_removed'), [(1.9, True), (2.5, False), (math.nan, False)])

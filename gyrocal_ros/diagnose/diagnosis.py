@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,7 +140,7 @@ class Diagnosis:
 
 def diagnose(searched: Search, recording: RecordingSummary) -> Diagnosis:
     """Draw the conclusions from a search."""
-    missing = sorted(_missing(searched), key=lambda item: item.gain, reverse=True)
+    missing = sorted(_not_of_noise(_missing(searched)), key=lambda item: item.gain, reverse=True)
     if searched.last.unexplained_structure is not None:  # a noise that no gyro has stood for it
         missing = [item for item in missing if not item.is_unusual_noise]
     least = searched.last.settings.min_predictive_gain
@@ -226,6 +226,16 @@ def _conclude(
         uneven='' if uneven is None else uneven.effect.name,
         wrong_yaw=yaw,
     )
+
+
+def _not_of_noise(missing: Iterable[MissingEffect]) -> Iterator[MissingEffect]:
+    """Leave out effects found beside a noise that raises the drift, if the robot drifts no less with them."""
+    is_harmful = False
+    for item in missing:
+        if is_harmful and not is_noise(item.effect) and item.drift_after_deg >= item.drift_before_deg:
+            continue
+        is_harmful |= item.raises_drift
+        yield item
 
 
 def _missing(searched: Search) -> Iterator[MissingEffect]:

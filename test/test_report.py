@@ -62,6 +62,7 @@ from gyrocal_ros.report.calibration import (
     conclusion,
 )
 from gyrocal_ros.report.describe import sigma_in_words, summarised, with_std
+from gyrocal_ros.report.html import table
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -521,3 +522,11 @@ def test_numbers_and_sentences_need_no_plotly(module: str) -> None:
     code = f'import sys, gyrocal_ros.{module}; print("plotly" in sys.modules)'
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == 'False'
+
+
+def test_a_table_with_sentences_gives_them_room_and_breaks_long_names() -> None:
+    sentence = 'kept: in closed form the recording is predicted as well (log-likelihood +48.8)'
+    shown = table('Revisions', ('revision', 'reason'), [('2_bias_memory', sentence)])
+    assert '<table class="reasons">' in shown and '2_<wbr>bias_<wbr>memory' in shown
+    plain = table('Topics', ('topic', 'messages'), [('imu_data', '12')])
+    assert '<table>' in plain and 'imu_data' in plain

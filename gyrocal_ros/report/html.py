@@ -17,6 +17,8 @@ FIGURE_HELP = 'In the figures: drag to zoom in, double-click to see all, click a
 PAPER_ZOOM = 0.75
 PAPER_WIDTH_PX = round((210 - 2 * 12) / 25.4 * 96 / PAPER_ZOOM)
 """Width of the page on A4 paper with margins of 12 mm, in CSS pixels before the zoom."""
+SENTENCE = 60
+"""Number of characters from which the text of a cell is a sentence."""
 SIGNS = {'green': '✓', 'yellow': '→', 'red': '✗'}
 
 
@@ -69,16 +71,20 @@ def warnings(findings: Iterable[tuple[str, str]]) -> str:
 def table(
     title: str, heads: Sequence[str], rows: Iterable[Sequence[str]], note: str = '', wrap: bool = False
 ) -> str:
-    """Return a table under a heading; the first cell of a row is its name. With `wrap`, cells wrap."""
+    """Return a table under a heading; the first cell of a row is its name. With `wrap`, cells wrap.
+
+    Sentences in the last cells get room on a narrow screen, where the table scrolls.
+    """
+    rows = list(rows)
+    has_sentences = any(len(row[-1]) > SENTENCE for row in rows)
+    names = [escape(row[0]).replace('_', '_<wbr>') if has_sentences else escape(row[0]) for row in rows]
     lines = ''.join(
-        f'<tr><th scope="row">{escape(row[0])}</th>'
-        + ''.join(f'<td>{escape(cell)}</td>' for cell in row[1:])
-        + '</tr>'
-        for row in rows
+        f'<tr><th scope="row">{name}</th>' + ''.join(f'<td>{escape(cell)}</td>' for cell in row[1:]) + '</tr>'
+        for name, row in zip(names, rows, strict=True)
     )
     top = ''.join(f'<th scope="col">{escape(head)}</th>' for head in heads)
     below = f'<p class="note">{escape(note)}</p>' if note else ''
-    kind = ' class="words"' if wrap else ''
+    kind = ' class="words"' if wrap else ' class="reasons"' if has_sentences else ''
     return (
         f'<h2>{escape(title)}</h2><div class="wide"><table{kind}>'
         f'<thead><tr>{top}</tr></thead><tbody>{lines}</tbody></table></div>{below}'
@@ -158,6 +164,10 @@ td:not(:last-child) { white-space: nowrap; }
 .meter { position: relative; min-width: 14rem; padding-left: .4rem; }
 .meter span { position: absolute; inset: .25rem auto .25rem 0; background: var(--rule); z-index: -1; }
 table.words td { white-space: normal; }
+@media screen {
+  table.reasons td:last-child { min-width: 24rem; }
+  table.reasons tbody th { min-width: 12rem; }
+}
 .physics { max-width: 80ch; }
 thead th { color: var(--faint); font-weight: 500; }
 tbody th { font-weight: 600; }

@@ -123,13 +123,13 @@ def _feature_issues(
             features, WARNING, 'few_features', f'{mean:.1f} features an image', 'check the tracker'
         )
     if bag.features:
-        yield from _damaged_features(features, bag.features)
+        yield from _unusable_features(features, bag.features)
         for imu in imus if is_stamped else ():
             yield from _image_turn_issues(features, bag.features, imu, bag.imus[imu.topic.name].turns)
 
 
-def _damaged_features(scan: TopicScan, features: FeatureStats) -> Iterator[BagIssue]:
-    """Yield the issues of point clouds that cannot be used, and of features without a place."""
+def _unusable_features(scan: TopicScan, features: FeatureStats) -> Iterator[BagIssue]:
+    """Yield the issues of clouds that cannot be used, and of features that are not tracked or no pixels."""
     if features.damaged:
         severity = ERROR if features.damaged > MAX_NAN_SHARE * features.count else WARNING
         text = f'{features.damaged} of {features.count} point clouds cannot be used: {features.reason}'

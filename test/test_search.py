@@ -237,6 +237,7 @@ class TestSearch:
         module = 'gyrocal_ros.diagnose.search.additions'
         monkeypatch.setattr(f'{module}.drift_of_both', lambda *runs: drifts(0.5, 3.4))
         monkeypatch.setattr(f'{module}.drift_by_noise_deg', lambda run, drift: run.by_noise_deg)
+        monkeypatch.setattr(f'{module}.turn_against_body_rad', lambda run: 0.0)
         monkeypatch.setattr(f'{module}.better_sigma', lambda *drifts: math.nan)
         for name, raises in (('rate_saturation', True), ('gyro_noise', False)):
             runs = cast(Any, before), cast(Any, after)

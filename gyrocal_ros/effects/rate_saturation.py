@@ -49,7 +49,7 @@ class RateSaturation:
         physics='Beyond its range the sensor outputs its largest value and no more. However fast the '
         'turn, the reading stays at the limit, and the part beyond is lost. For such moments the '
         'wheels and the camera have to measure how far the robot turned.',
-        equation='|w_n - offset| <= limit; beyond, by the wheels',
+        equation='|w_n - offset| <= limit, else by the wheels',
         usual_size='60 to 300 deg/s',
         best_motion='turns faster than the range of the sensor',
         twins=('scale_cubic', 'scale_factor'),

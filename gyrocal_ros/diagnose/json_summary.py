@@ -28,7 +28,6 @@ from gyrocal_ros.diagnose.status import (
 )
 from gyrocal_ros.effects import SCALE_FACTOR
 from gyrocal_ros.effects.model_file import own_options
-from gyrocal_ros.effects.registry import find_effect
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.model.sensor import Effect
 from gyrocal_ros.pipeline.calibration import Calibration, coefficient_table, conclude
@@ -164,7 +163,7 @@ def _missing(item: MissingEffect) -> dict[str, Any]:
     return {
         'effect': item.effect.name,
         'coefficients': _coefficients(item.effect, item.values, item.stds),
-        'options': own_options(item.effect, find_effect(item.effect.name)),
+        'options': own_options(item.effect),
         'log_likelihood_gain': item.gain,
         'significance_sigma': item.sigma,
         'p_value': item.p_value,

@@ -190,9 +190,9 @@ def options_of(effect: Effect) -> dict[str, Any]:
     return {name: getattr(effect, name) for name in names}
 
 
-def own_options(effect: Effect, usual: Effect) -> dict[str, Any]:
+def own_options(effect: Effect) -> dict[str, Any]:
     """Return the settings of an effect that are not those of the usual one of its name."""
-    before = options_of(usual)
+    before = options_of(find_effect(effect.name))
     return {name: value for name, value in options_of(effect).items() if value != before[name]}
 
 

@@ -83,7 +83,7 @@ def add_words(effect: Effect) -> list[str]:
     usual = find_effect(effect.name)
     settings = [
         f'{name}={value:.8g}' if isinstance(value, float) else f'{name}={value}'
-        for name, value in own_options(effect, usual).items()
+        for name, value in own_options(effect).items()
     ]
     settings += [
         f'{item.name}={_prior_text(item)}'

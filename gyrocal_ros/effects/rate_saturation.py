@@ -105,15 +105,13 @@ class RateSaturation:
         None if both sides have the same limit, or none, or if the slower one has none.
         """
         sides = readings.rate_rad_s, -readings.rate_rad_s
-        limits = [_limit_of_side(rate, readings) for rate in sides]
-        if limits == [None, None]:
+        found = [_limit_of_side(rate, readings) for rate in sides]
+        if found == [None, None]:
             return None
-        left, right = (
-            BEYOND * _largest(rate) if limit is None else limit
-            for rate, limit in zip(sides, limits, strict=True)
-        )
+        pairs = zip(sides, found, strict=True)
+        left, right = (BEYOND * _largest(rate) if limit is None else limit for rate, limit in pairs)
         is_one = min(left, right) > AT_LIMIT * max(left, right)
-        if is_one or limits[0 if left < right else 1] is None:  # the slower side has none
+        if is_one or min(left, right) not in found:
             return None
         return replace(with_means(self, (0.5 * (left + right),)), offset_rad_s=0.5 * (left - right))
 

@@ -14,7 +14,6 @@ from gyrocal_ros.diagnose.analysis.regimes import Failure
 from gyrocal_ros.diagnose.status import Status
 from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.effects.model_file import own_options
-from gyrocal_ros.effects.registry import find_effect
 from gyrocal_ros.effects.traits import is_limit
 from gyrocal_ros.ekf.history.run import Run, RunEvent
 from gyrocal_ros.model.sensor import Effect
@@ -85,8 +84,7 @@ def coefficients_in_words(effect: Effect, values: Array, stds: Array) -> str:
     items = zip(effect.coefficients, values.tolist(), stds.tolist(), strict=True)
     words = [f'{item.name} = {quantity(value, std, item.unit)}' for item, value, std in items]
     if is_limit(effect):
-        own = own_options(effect, find_effect(effect.name))
-        words += [f'{name} = {value:.4g}' for name, value in own.items()]
+        words += [f'{name} = {value:.4g}' for name, value in own_options(effect).items()]
     return ', '.join(words)
 
 

@@ -275,9 +275,9 @@ def _next_addition(
                 return limited
         elif gain >= settings.limit_alike_part * rival_gain:
             alike.append(sized.name)
-    return (
-        None if rival is None else unless_a_walk_explains(replace(rival, alike=tuple(dict.fromkeys(alike))))
-    )
+    if rival is None:
+        return None
+    return unless_a_walk_explains(replace(rival, alike=tuple(dict.fromkeys(alike))))
 
 
 def _with_best(

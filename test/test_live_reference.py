@@ -15,9 +15,9 @@ from gyrocal_ros.data import FeatureObservations, Measurement, TruthSample, Whee
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.msgs.topics import BODY_FRAME, IMU_FRAME
 from gyrocal_ros.msgs.transforms import IDENTITY, Transform
+from gyrocal_ros.pipeline.by_heading import for_reference
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
-from gyrocal_ros.pipeline.heading_reference import for_reference
 from gyrocal_ros.pipeline.run_filter import run_filter
 from gyrocal_ros.sim.references import ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario

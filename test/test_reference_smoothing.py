@@ -64,7 +64,7 @@ def behind(time_constant_s: float, kind: str = 'mocap') -> tuple[InMemorySource,
 def test_the_time_constant_is_found() -> None:
     source, sharp = behind(0.03)
     found = fit_reference(source.measurements(), 'a recording')
-    assert found.time_constant_s == pytest.approx(0.03, rel=0.1)
+    assert found.time_constant_s == pytest.approx(0.03, rel=0.1) and found.gyro_lag_s == 0.0
     assert found.time_offset_s == pytest.approx(sharp.reference.offset_s + 0.03, abs=2e-3)
     assert found.scale_factor == pytest.approx(sharp.truth.scale_factor, abs=1e-3)
 
@@ -77,8 +77,13 @@ def test_a_sharp_reference_has_no_low_pass(kind: str) -> None:
 
 def test_the_headings_are_sharp_again() -> None:
     source, sharp = behind(0.1)
-    offset_s = sharp.reference.offset_s + 0.1
-    found = with_true_headings(source.measurements(), offset_s, 0.1, sharp.truth.scale_factor)
+    fitted = replace(
+        fit_reference(behind(0.0)[0].measurements(), 'a recording'),
+        time_offset_s=sharp.reference.offset_s + 0.1,
+        time_constant_s=0.1,
+        scale_factor=sharp.truth.scale_factor,
+    )
+    found = with_true_headings(source.measurements(), fitted, lags=False)
     headings = [item for item in found if isinstance(item, HeadingSample)]
     time_s = np.array([item.t_ns - source.span.start_ns for item in headings]) / NS_PER_S
     true = sharp.truth.trajectory.motion(time_s).euler_rad[:, 2]

@@ -15,7 +15,7 @@ from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.noise.rest import PRIOR_WINDOWS, RestDetector, RestNoise
 from gyrocal_ros.ekf.slam import EkfSlam
 from gyrocal_ros.ekf.state.layout import YAW_BIAS
-from gyrocal_ros.pipeline.heading_reference import for_reference
+from gyrocal_ros.pipeline.by_heading import for_reference
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 

@@ -10,7 +10,7 @@ import pytest
 from contracts import eventful_block
 
 from gyrocal_ros.config.sections import Config, GyroConfig
-from gyrocal_ros.data import MotionBlock
+from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.equations.effects_by_place import sort_effects
 from gyrocal_ros.ekf.equations.steady_rate import SteadyRate
@@ -50,6 +50,41 @@ def test_noise_has_no_part_in_a_steady_rate(factor: float) -> None:
     false, all_of_it = np.sum(products, axis=0)
     assert abs(false) < 0.15 * all_of_it
     assert used.rate_rad_s[0, 2] == pytest.approx(0.2 * DEG, abs=0.02 * factor * DEG)
+
+
+def at_readings(level_rad_s: Array) -> list[MotionBlock]:
+    """Return blocks between readings (k COUNT + 1,) of the yaw rate."""
+    means, steps = 0.5 * (level_rad_s[1:] + level_rad_s[:-1]), np.diff(level_rad_s)
+    return [
+        replace(block(mean), yaw_acceleration_rad_s2=step / STEP_S)
+        for mean, step in zip(means.reshape(-1, COUNT), steps.reshape(-1, COUNT), strict=True)
+    ]
+
+
+def test_noise_has_no_part_in_a_steady_acceleration() -> None:
+    """A lag of the gyro times noise of the acceleration is a rate, which a robot at rest does not have."""
+    rng, steady = np.random.default_rng(4), SteadyRate()
+    blocks = at_readings(0.0075 * DEG / math.sqrt(STEP_S) * rng.standard_normal(500 * COUNT + 1))
+    used = [steady.without_noise(read, GYRO, is_at_rest=True) for read in blocks]
+    own, taken = (
+        np.array([item.yaw_acceleration_rad_s2.sum() * STEP_S for item in items]) for items in (blocks, used)
+    )
+    assert abs(own[20:] @ taken[20:]) < 0.01 * (own[20:] @ own[20:])
+
+
+def test_the_rate_is_the_sum_of_its_acceleration_through_turns() -> None:
+    time_s = STEP_S * np.arange(200 * COUNT + 1)
+    turn = 90.0 * DEG * np.clip(2.0 * np.sin(0.5 * time_s), -1.0, 1.0)
+    turn[time_s < 2.0] = 0.0
+    rng = np.random.default_rng(5)
+    noise = 0.0075 * DEG / math.sqrt(STEP_S) * rng.standard_normal(len(time_s))
+    steady, reached = SteadyRate(), 0.0
+    for number, read in enumerate(at_readings(turn + noise), start=1):
+        used = steady.without_noise(read, GYRO)
+        reached += float(used.yaw_acceleration_rad_s2.sum()) * STEP_S
+        lately = turn[max(number - 3, 0) * COUNT : number * COUNT + 1]
+        if np.ptp(lately) == 0.0:
+            assert reached == pytest.approx(lately[-1] - noise[0], abs=0.3 * DEG)
 
 
 def test_vibration_at_rest_has_no_part_either() -> None:

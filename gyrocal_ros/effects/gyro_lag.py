@@ -40,7 +40,7 @@ class GyroLag(LinearGyroEffect):
 
     def unobservable(self, recording: RecordingSummary) -> str:
         """Return why a recording cannot show it; empty if it may."""
-        if recording.rig.camera is None:
+        if recording.rig.camera is None and self.name not in recording.certain:
             return 'the time offset of the heading reference, which is estimated, looks the same'
         return ''
 

@@ -23,10 +23,10 @@ from gyrocal_ros.data import (
     seconds,
 )
 from gyrocal_ros.ekf.equations.effects_by_place import PoseMotion, pose_motion, sort_effects, true_camera
-from gyrocal_ros.ekf.equations.heading import HeadingReference
+from gyrocal_ros.ekf.equations.heading import HeadingReference, ModelLag
 from gyrocal_ros.ekf.equations.levelling import Levelling, unlevelled
 from gyrocal_ros.ekf.equations.predict import FilterModel, Transition, predict, predict_sensitivity, with_pose
-from gyrocal_ros.ekf.equations.steady_rate import SteadyRate
+from gyrocal_ros.ekf.equations.steady_rate import SteadyRate, with_acceleration
 from gyrocal_ros.ekf.equations.update import MeasurementUpdate, UpdateStats, zero_rate_update
 from gyrocal_ros.ekf.features.admission import Admission
 from gyrocal_ros.ekf.features.certain_way import is_certain, without_way
@@ -111,7 +111,7 @@ class EkfSlam:
         self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
         self._moving, self._admission, self._resting_view = MovingFeatures(), Admission(), RestingView()
         self._steady, self._frozen, self._way = SteadyRate(), FrozenCamera(), WayAgreement()
-        self._heading = HeadingReference(config.reference, config.gyro)
+        self._heading = HeadingReference(config.reference, config.gyro, ModelLag.of(model, self.state))
         at_first = config.gyro if config.reference.estimate_noise else config.rest
         self._rest_noise = RestNoise(math.radians(at_first.rate_noise_deg_s))
         self._levelling: Levelling | None = None
@@ -150,6 +150,7 @@ class EkfSlam:
         block = with_pose(block, before)
         gyro = self._gyro_noise(block)
         steady = self._steady.without_noise(block, gyro, is_at_rest=is_at_rest)
+        block = with_acceleration(block, steady) if is_at_rest else block
         gyro, sway = self._noise_at_rest(block, gyro, is_at_rest=is_at_rest)
         transition = self._predict(before, block, steady, gyro)
         predicted = self.state = self.watch.wander(self.state, block.duration_s)

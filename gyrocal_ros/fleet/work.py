@@ -142,7 +142,7 @@ def _analyse(path: Path, job: Job) -> BagResult:
     searched = search(model, recording, run_filter)
     if len(searched.first.model.effects) > len(model.effects):
         added = searched.first.model.effects[-1].name
-        return failed(f'the filter diverges without {added}; add it to the model')
+        return failed(f'the filter cannot follow it without {added}; add that to the model')
     run = searched.first.run
     return BagResult(_row(searched, diagnose(searched, recording)), bag_scores(run))
 

@@ -62,3 +62,5 @@ class RecordingSummary:
     """Range of each signal that varies and that a learned law may follow, by its name there."""
     image_turns: ImageTurns | None = None
     """None without images."""
+    certain: frozenset[str] = frozenset()
+    """Names of effects that the fit of a heading reference shows beyond doubt."""

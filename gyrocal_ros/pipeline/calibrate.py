@@ -18,7 +18,7 @@ from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import NotObservableError, RecordingError
 from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.pipeline.heading_reference import calibrate_by_heading
+from gyrocal_ros.pipeline.by_heading import calibrate_by_heading
 from gyrocal_ros.pipeline.run_filter import Report, run_filter
 from gyrocal_ros.vision.dirty_lens import LIFETIME_S, MANY_MARKS, MANY_MARKS_TEXT
 

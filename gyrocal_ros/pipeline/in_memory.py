@@ -1,4 +1,4 @@
-"""A recording in memory, its images tracked once, for several runs of the filter."""
+"""A recording in memory, its images tracked or its heading reference fitted once, for several runs."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ import numpy as np
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import ClockStep, Frame, Measurement, Rig, Source, Span, seconds
 from gyrocal_ros.ekf.slam import EkfSlam
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import FilterDivergedError, NotObservableError
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.pipeline.heading_reference import fit_reference
+from gyrocal_ros.pipeline.reference_fit import ReferenceFit
 from gyrocal_ros.pipeline.run_filter import Progress, Report
 from gyrocal_ros.pipeline.visual_slam import VisualSlam
 
@@ -31,6 +33,8 @@ class InMemorySource:
     rig: Rig
     span: Span
     loaded: Sequence[Measurement]
+    reference: ReferenceFit | None = None
+    """Fit of the heading reference; None with a camera, and where there is none."""
 
     def measurements(self) -> Iterator[Measurement]:
         """Yield the measurements."""
@@ -40,7 +44,7 @@ class InMemorySource:
 def preload(
     source: Source, config: Config, model: SensorModel, report: Report | None = None
 ) -> tuple[Source, Config]:
-    """Read a source into memory and track its images.
+    """Read a source into memory, and track its images or fit its heading reference.
 
     The filter only guides the tracker. Where it diverges because of what the model lacks, a new one takes its
     place: runs on the features decide whether the model fits.
@@ -72,7 +76,8 @@ def preload(
         if not isinstance(measurement, Frame):
             loaded.append(measurement)
     if visual is None:
-        return InMemorySource(source.name, source.rig, source.span, loaded), config
+        kept = InMemorySource(source.name, source.rig, source.span, loaded)
+        return replace(kept, reference=_fitted(kept, config)), config
     if any(isinstance(measurement, ClockStep) for measurement in loaded):
         return source, config
     with suppress(*DIVERGED):
@@ -80,6 +85,19 @@ def preload(
     merged = sorted([*loaded, *tracked], key=attrgetter('t_ns'))
     noise = replace(config.camera, pixel_noise_px=config.tracker.noise_px)
     return InMemorySource(source.name, source.rig, source.span, merged), replace(config, camera=noise)
+
+
+def known_reference(source: Source) -> ReferenceFit | None:
+    """Return the fit of a heading reference that was made with the source; None without one."""
+    return source.reference if isinstance(source, InMemorySource) else None
+
+
+def _fitted(source: Source, config: Config) -> ReferenceFit | None:
+    """Return the fit of the heading reference; None with a camera, and without one that can be fitted."""
+    if source.rig.camera is None:
+        with suppress(NotObservableError):
+            return fit_reference(source.measurements(), source.name, config)
+    return None
 
 
 def _with_progress(source: Source, report: Report | None) -> Iterator[Measurement]:

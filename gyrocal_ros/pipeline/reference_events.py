@@ -7,6 +7,7 @@ from collections.abc import Iterator
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Span
+from gyrocal_ros.ekf.equations.heading import GYRO_LAG
 from gyrocal_ros.ekf.history.run import Run, RunEvent
 from gyrocal_ros.pipeline.reference_fit import ReferenceFit
 
@@ -23,11 +24,13 @@ def reference_events(fitted: ReferenceFit, config: Config, span: Span, run: Run)
     if abs(fitted.time_offset_s) >= REPORTED_OFFSET_S:
         late = 'late' if fitted.time_offset_s > 0.0 else 'early'
         offset_ms, std_ms = abs(fitted.time_offset_s) * 1e3, fitted.time_offset_std_s * 1e3
-        yield RunEvent(
-            span.start_ns,
-            f'the reference is stamped {offset_ms:.1f} +- {std_ms:.1f} ms too {late}, or the gyro lags; this '
-            'is corrected',
-        )
+        late += '' if fitted.gyro_lag_s else ', or the gyro lags'
+        text = f'the reference is stamped {offset_ms:.1f} +- {std_ms:.1f} ms too {late}; this is corrected'
+        yield RunEvent(span.start_ns, text)
+    if fitted.gyro_lag_s and GYRO_LAG not in run.model.coefficient_names:
+        lag_ms, std_ms = fitted.gyro_lag_s * 1e3, fitted.gyro_lag_std_s * 1e3
+        text = f'the gyro lags by {lag_ms:.1f} +- {std_ms:.1f} ms; `gyrocal improve` adds that to the model'
+        yield RunEvent(span.start_ns, text)
     if fitted.time_constant_s > 0.0:
         lag_ms = fitted.time_constant_s * 1e3
         text = f'the reference smooths its headings (time constant {lag_ms:.0f} ms); this is corrected'

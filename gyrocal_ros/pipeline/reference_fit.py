@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import GyroConfig
 from gyrocal_ros.data import Array
+from gyrocal_ros.ekf.equations.heading import GYRO_LAG
 from gyrocal_ros.ekf.noise.reference_bank import NoiseFit, ReferenceBank, grid, likeliest_walk
 from gyrocal_ros.ekf.noise.reference_noise import ReferenceNoise
 
@@ -82,8 +83,8 @@ class ReferenceFit:
     scale_factor: float
     bias_rad_s: float
     time_offset_s: float
-    """Stamp of the reference minus true time, positive when it is stamped late. A lag of the gyro looks the
-    same, with the opposite sign."""
+    """Stamp of the reference minus true time, positive when it is stamped late. A lag of the gyro that is not
+    certain looks the same, with the opposite sign."""
     time_offset_std_s: float
     residual_rms_rad: float
     """Rms difference from the least squares fit of scale factor, bias, heading and jumps."""
@@ -97,6 +98,15 @@ class ReferenceFit:
     """Standard deviation of its stamps."""
     time_constant_s: float = 0.0
     """Time constant of the low pass by which it smooths its headings; the time offset includes its delay."""
+    gyro_lag_s: float = 0.0
+    """Time constant of a low pass in the gyro that is certain; the time offset does not include it."""
+    gyro_lag_std_s: float = 0.0
+
+    @property
+    def certain_effects(self) -> frozenset[str]:
+        """Names of the effects of the gyro that it shows."""
+        return frozenset({GYRO_LAG} if self.gyro_lag_s else ())
+
     rest_noise_rad_s: float = 0.0
     """Density of the noise of the gyro at rest, rad/s/sqrt(Hz), sway included."""
     bias_walk_deg_s: float = 0.0

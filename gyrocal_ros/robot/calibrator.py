@@ -36,8 +36,8 @@ from gyrocal_ros.msgs.mounts import into_body_axes
 from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, plausible
 from gyrocal_ros.msgs.topics import Role, bounds
 from gyrocal_ros.msgs.transforms import Transform
+from gyrocal_ros.pipeline.by_heading import for_reference
 from gyrocal_ros.pipeline.calibration import Calibration
-from gyrocal_ros.pipeline.heading_reference import for_reference
 from gyrocal_ros.robot.calibration_store import CalibrationStore
 from gyrocal_ros.robot.dead_reckoning import DeadReckoning
 from gyrocal_ros.robot.estimator import Estimator

@@ -28,6 +28,7 @@ from gyrocal_ros.model.recording import (
     RecordingSummary,
     Signal,
 )
+from gyrocal_ros.pipeline.in_memory import known_reference
 from gyrocal_ros.statistics import robust_std
 
 MAX_SIGNALS = 24
@@ -177,6 +178,7 @@ def summarise_recording(source: Source) -> RecordingSummary:
     if len(varying) > MAX_SIGNALS:
         varying.sort(key=lambda signal: abs(signal.mean) / signal.spread)
     t_ns, rate = zip(*rates, strict=True) if rates else ((), ())
+    reference = known_reference(source)
     return RecordingSummary(
         rig=source.rig,
         signals=tuple(varying[:MAX_SIGNALS]),
@@ -186,6 +188,7 @@ def summarise_recording(source: Source) -> RecordingSummary:
         readings=GyroReadings(np.array(t_ns, np.int64), np.array(rate)),
         ranges=signal_ranges(source),
         image_turns=_as_turns(turns) if turns else None,
+        certain=frozenset() if reference is None else reference.certain_effects,
     )
 
 

@@ -109,7 +109,7 @@ def searched_again(found: Search, recording: RecordingSummary, calibrate: Calibr
         most: number of effects to try.
     """
     recovered = next((item for item in found.additions if item.before is None), None)
-    if recovered is None or len(found.kept) < 2:
+    if recovered is None or recovered.effect.name in recording.certain or len(found.kept) < 2:
         return found
     removal = without_addition(found.last, recovered, recording, calibrate)
     if removal is None:

@@ -218,7 +218,7 @@ def removal_reason(removal: Removal) -> str:
 
 def _reason(added: Addition) -> str:
     if added.before is None:
-        return 'without it the filter diverges'
+        return 'without it the filter cannot follow the recording'
     size = f'{abs(added.predictive_gain):.1f}'
     if added.is_rewritten and added.is_kept:
         gain = f'{added.predictive_gain:+.1f}'

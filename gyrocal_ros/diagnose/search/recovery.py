@@ -42,29 +42,38 @@ def first_run(
 ) -> tuple[ExaminedModel, list[Addition]]:
     """Return the run with a model, or with the effect whose absence breaks the filter, and that effect.
 
-    Images that are far too late or too early break it in any case; the model then needs the offset.
+    Images that are far too late or too early break it in any case; the model then needs the offset. So does a
+    lag of the gyro, where a reference is exact enough to show it.
 
     Raises:
         FilterDivergedError: the filter cannot run with this model, nor with such an effect.
     """
-    offset = late_images(recording)
-    if offset is not None and not any(effect.acts_on == 'time' for effect in model.effects):
+    for effect in _certain(model, recording):
         with suppress(*CANNOT_RUN):
-            by_offset = _recovered_with(offset, model, recording, calibrate, settings)
-            if _nis(by_offset.after) < BROKEN_NIS:
-                return by_offset.after, [by_offset]
+            recovered = _recovered_with(effect, model, recording, calibrate, settings)
+            if _nis(recovered.after) < BROKEN_NIS:
+                return recovered.after, [recovered]
     try:
         first = examine(model, recording, calibrate, settings)
     except FilterDivergedError:
-        recovered = _recover(model, recording, calibrate, settings)
-        if recovered is None:
+        mended = _recover(model, recording, calibrate, settings)
+        if mended is None:
             raise
-        return recovered.after, [recovered]
+        return mended.after, [mended]
     if _nis(first) > BROKEN_NIS:
-        recovered = _recover(model, recording, calibrate, settings)
-        if recovered is not None and _nis(recovered.after) < MENDED_PART * _nis(first):
-            return recovered.after, [recovered]
+        mended = _recover(model, recording, calibrate, settings)
+        if mended is not None and _nis(mended.after) < MENDED_PART * _nis(first):
+            return mended.after, [mended]
     return first, []
+
+
+def _certain(model: SensorModel, recording: RecordingSummary) -> Iterator[Effect]:
+    """Yield effects that the model lacks and that the recording shows before the filter runs."""
+    present = {effect.name for effect in model.effects}
+    yield from (EFFECTS[name] for name in sorted(recording.certain - present))
+    offset = late_images(recording)
+    if offset is not None and not any(effect.acts_on == 'time' for effect in model.effects):
+        yield offset
 
 
 def _nis(examined: ExaminedModel) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +19,8 @@ from gyrocal_ros.ekf.equations.update import (
 from gyrocal_ros.ekf.noise.reference_learner import ReferenceLearner
 from gyrocal_ros.ekf.noise.reference_noise import OUTLIER_SIGMA, JumpDetector, JumpsWithTurns, ReferenceNoise
 from gyrocal_ros.ekf.noise.shared_noise import SharedNoise
-from gyrocal_ros.ekf.state.layout import SCALE, YAW, YAW_BIAS, State
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE, YAW, YAW_BIAS, State
+from gyrocal_ros.model.sensor import SensorModel
 
 CONTAINS_GYRO = (
     'the heading reference follows the noise of the gyro, so it is computed from this gyro and cannot '
@@ -31,6 +33,30 @@ JUMPS_WITH_TURNS = (
 """What may be wrong with a reference."""
 SLOW_RAD_S = math.radians(10.0)
 """Rate up to which a reference that was just learned is aligned."""
+GYRO_LAG = 'gyro_lag'
+"""Name of the effect of the gyro that looks like a time offset of the reference."""
+
+
+@dataclass(frozen=True, slots=True)
+class ModelLag:
+    """The lag of the gyro as a model has it at the start of a run.
+
+    A reference whose time offset is learned hardly shows it: the offset is what is left beside this lag.
+    """
+
+    index: int
+    """Its place among the coefficients."""
+    mean_s: float
+    std_s: float
+
+    @classmethod
+    def of(cls, model: SensorModel, start: State) -> ModelLag | None:
+        """Return it at a state; None where the model has none."""
+        if GYRO_LAG not in model.coefficient_names:
+            return None
+        index = model.coefficient_names.index(GYRO_LAG)
+        place = COEFFICIENTS_START + index
+        return cls(index, float(start.mean[place]), math.sqrt(start.covariance[place, place]))
 
 
 class HeadingReference:
@@ -41,11 +67,13 @@ class HeadingReference:
     Args:
         config: its noise, or that this is learned: then the filter ignores it at first.
         gyro: noise of the gyro.
+        lag: lag of the gyro that the model has.
     """
 
-    def __init__(self, config: ReferenceConfig, gyro: GyroConfig) -> None:
+    def __init__(self, config: ReferenceConfig, gyro: GyroConfig, lag: ModelLag | None = None) -> None:
         self.noise = reference_noise(config)
         self._learner = ReferenceLearner(gyro) if config.estimate_noise else None
+        self._lag = lag if config.estimate_noise else None
         self._gyro_walk = math.radians(gyro.rate_noise_deg_s)
         self._usual_walk_deg_s = gyro.bias_walk_deg_s
         self._offset_rad: float | None = None
@@ -124,6 +152,8 @@ class HeadingReference:
             return unknown_std
         std = np.zeros_like(unknown_std)
         std[SCALE : SCALE + 1] = self._jumps_with_turns.scale_error
+        if self._lag is not None:
+            std[1 + self._lag.index] = self._lag.std_s
         return std
 
     def forget_alignment(self) -> None:
@@ -151,7 +181,7 @@ class HeadingReference:
             return state, MeasurementUpdate()  # at rest, frozen, or within one step of the digits
         dt_s = 0.0 if self._last is None else seconds(sample.t_ns - self._last.t_ns)
         self._last = sample
-        if not self._learn(sample.yaw_rad, float(pose_rate[YAW])):
+        if not self._learn(sample.yaw_rad, float(pose_rate[YAW]), self._delay_s(state)):
             return state, MeasurementUpdate()
         stamp_s = math.hypot(self._offset_std_s, float(self.noise.stamp_s))
         white_rad = math.hypot(float(self.noise.white_rad), stamp_s * float(pose_rate[YAW]))
@@ -182,13 +212,19 @@ class HeadingReference:
             heading_std_rad=std,
         )
 
-    def _learn(self, yaw_rad: float, rate_rad_s: float) -> bool:
+    def _delay_s(self, state: State) -> float:
+        """Return the time by which the nominal gyro lags, according to the model at its start."""
+        if self._lag is None:
+            return 0.0
+        return self._lag.mean_s / (1.0 + float(state.coefficients[SCALE - 1]))
+
+    def _learn(self, yaw_rad: float, rate_rad_s: float, delay_s: float) -> bool:
         """Learn from a heading what the reference is like; return True if it may be used."""
         self._shared.add(yaw_rad)
         self._contains_gyro |= self._shared.is_shared
         if self._learner is None:
             return True
-        self._learner.add(yaw_rad, rate_rad_s)
+        self._learner.add(yaw_rad - delay_s * rate_rad_s, rate_rad_s)
         if self._learner.noise is None:
             return False
         self.noise = self._without_gyro(self._learner.noise)

@@ -44,6 +44,7 @@ class SteadyRate:
     def __init__(self) -> None:
         self._mean_rad_s: float | None = None
         self._blocks = 0
+        self._end_rad_s: float | None = None
         self.change_rad_s = 0.0
         """Change of the mean rate to the last block; zero while it is steady."""
         self.tilt_noise_rad_s: Sequence[float] | None = None
@@ -85,7 +86,7 @@ class SteadyRate:
         return replace(gyro, rate_noise_deg_s=math.degrees(math.sqrt(z_rad2_s - by_effects_rad2_s)))
 
     def without_noise(self, block: MotionBlock, gyro: GyroConfig, *, is_at_rest: bool = False) -> MotionBlock:
-        """Return the block with the yaw rate at which derivatives are taken, and remember the block.
+        """Return the block with the yaw rate and acceleration at which derivatives are taken; remember it.
 
         Args:
             block: the block.
@@ -104,12 +105,38 @@ class SteadyRate:
         self.change_rad_s = 0.0 if before is None or is_steady else mean - before
         if before is None or not is_steady:
             self._mean_rad_s, self._blocks = mean, 1
-            return changed(block, vibration_m2_s4=vibration)
+            acceleration = self._acceleration(block)
+            return changed(block, yaw_acceleration_rad_s2=acceleration, vibration_m2_s4=vibration)
         self._blocks = self._blocks + 1 if is_at_rest else min(self._blocks + 1, MEMORY)
         self._mean_rad_s = before + (mean - before) / self._blocks
         rates = block.rate_rad_s.copy()
         rates[:, 2] = before
-        return changed(block, rate_rad_s=rates, vibration_m2_s4=vibration)
+        acceleration = self._steady_acceleration(block, before)
+        return changed(
+            block, rate_rad_s=rates, yaw_acceleration_rad_s2=acceleration, vibration_m2_s4=vibration
+        )
+
+    def _acceleration(self, block: MotionBlock) -> Array:
+        """Return the yaw acceleration (N,) of a block in which the rate changes, by its readings.
+
+        It starts from the rate at which the block before ended, so that the rate is its sum.
+        """
+        acceleration, rates = block.yaw_acceleration_rad_s2, block.rate_rad_s[:, 2]
+        half_rad_s = 0.5 * acceleration * block.dt_s
+        start_rad_s, before_rad_s = float(rates[0] - half_rad_s[0]), self._end_rad_s
+        self._end_rad_s = float(rates[-1] + half_rad_s[-1])
+        if before_rad_s is None:
+            return acceleration
+        return acceleration + (start_rad_s - before_rad_s) / block.duration_s
+
+    def _steady_acceleration(self, block: MotionBlock, before_rad_s: float) -> Array:
+        """Return the yaw acceleration (N,) of a block in which the rate is steady, by the mean before it.
+
+        That by the readings is noise. Regressed on it, a lag of the gyro is pulled towards none.
+        """
+        assert self._end_rad_s is not None
+        change_rad_s, self._end_rad_s = before_rad_s - self._end_rad_s, before_rad_s
+        return constant(change_rad_s / block.duration_s, len(block.dt_s))
 
     def _vibration_before(self, block: MotionBlock) -> Array:
         """Return the mean vibration (N,) of the blocks before, and remember that of this one.
@@ -131,6 +158,11 @@ class SteadyRate:
             known = self._noise_rad2_s
             self._noise_rad2_s = seen_rad2_s if known is None else known + (seen_rad2_s - known) / MEMORY
         return max(math.radians(gyro.rate_noise_deg_s) ** 2, self._noise_rad2_s or 0.0)
+
+
+def with_acceleration(block: MotionBlock, steady: MotionBlock) -> MotionBlock:
+    """Return a block with the yaw acceleration of another: at rest its own is noise."""
+    return changed(block, yaw_acceleration_rad_s2=steady.yaw_acceleration_rad_s2)
 
 
 class _LastMedian:

@@ -185,16 +185,16 @@ def block_that_turns(rate_rad_s: Array) -> MotionBlock:
 
 
 def test_rates_in_the_dead_band_have_a_standard_deviation() -> None:
-    by_wheels = np.tile([-0.7, 0.2, 0.7], 4)
-    block = block_that_turns(np.repeat([0.1, 5.0], 6))
-    found = term('rate_deadband', replace(block, wheel_turn_rad=by_wheels * block.dt_s), 0.5)
+    block = replace(block_that_turns(np.repeat([0.1, 5.0], 6)), wheels_at_rest=False)
+    found = term('rate_deadband', block, 0.5)
     assert found.noise_rad_s is not None and found.blind is not None
     assert found.noise_rad_s[:3] == pytest.approx(INSIDE_STD * 0.5)
-    assert found.rate_rad_s[:3] == pytest.approx(np.array([-0.5, 0.2, 0.5]) - 0.1), (
-        'the wheels, within the band'
-    )
+    assert found.rate_rad_s[:3] == pytest.approx(-0.1)
     assert not found.noise_rad_s[6:].any() and not found.rate_rad_s[6:].any()
     np.testing.assert_array_equal(found.noise_rad_s > 0.0, found.blind)
+    at_rest = term('rate_deadband', replace(block, wheels_at_rest=True), 0.5)
+    assert not np.any(at_rest.noise_rad_s)
+    np.testing.assert_array_equal(at_rest.rate_rad_s, found.rate_rad_s)
 
 
 @pytest.mark.parametrize('rate', [0.0, 1.0])
@@ -308,8 +308,7 @@ def test_corrections_of_all_effects_add_up() -> None:
     valid, zero = ~np.asarray(term('rate_deadband', block, 0.5).blind), np.zeros(12)
     assert 0 < valid.sum() < 12
     added = 0.1 * wz + 0.02 * wx - 0.03 * wy
-    by_wheels = np.clip(block.wheel_turn_rad / block.dt_s, -0.5, 0.5)
-    np.testing.assert_allclose(total.rate_rad_s, np.where(valid, added, by_wheels - wz))
+    np.testing.assert_allclose(total.rate_rad_s, np.where(valid, added, -wz))
     np.testing.assert_allclose(total.by_values, valid[:, None] * np.stack([wz, zero, wx, wy, zero], axis=1))
     np.testing.assert_array_equal(np.asarray(total.noise_rad_s) == 0.0, valid)
     np.testing.assert_array_equal(total.valid, valid)

@@ -47,9 +47,10 @@ _WIDTHS_RAD_S = tuple(math.radians(width) for width in (0.1, 0.2, 0.3, 0.4, 0.5)
 
 @dataclass(frozen=True)
 class RateDeadband:
-    """Rates below `width` are read as zero: the true rate is anywhere in the band, and the wheels tell more.
+    """Rates below `width` are read as zero: the true rate is anywhere in the band, most often near zero.
 
-    As with saturation, the width is detected in the readings and not estimated.
+    As with saturation, the width is detected in the readings and not estimated. The wheels tell no more:
+    where they differ in size, they turn by as much as the band is wide, and their steps are wider.
     """
 
     about: ClassVar[Explanation] = Explanation(
@@ -77,14 +78,14 @@ class RateDeadband:
     )
 
     def contribute(self, block: MotionBlock, values: Array, memory: Memory) -> GyroTerm:
-        """Replace the rate within the band by that of the wheels, as far as it is within, too."""
+        """Replace the rate within the band by zero, which it is for certain where the wheels stand still."""
         rate, width = block.rate_rad_s[:, 2], values[0]
         inside = _is_inside(rate, width)
-        by_wheels = np.clip(block.wheel_turn_rad / block.dt_s, -width, width)
+        noise_rad_s = 0.0 if block.wheels_at_rest else INSIDE_STD * width
         return GyroTerm(
-            np.where(inside, by_wheels - rate, 0.0),
+            np.where(inside, -rate, 0.0),
             np.zeros((len(rate), 1)),
-            noise_rad_s=np.where(inside, INSIDE_STD * width, 0.0),
+            noise_rad_s=np.where(inside, noise_rad_s, 0.0),
             blind=inside,
         )
 

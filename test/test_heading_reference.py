@@ -176,3 +176,14 @@ def test_what_the_temperature_does_to_the_bias_is_no_noise_of_the_reference() ->
     assert found.bias_walk_deg_s > 4.0 * Config().gyro.bias_walk_deg_s
     of_both = math.hypot(source.reference.walk_rad, math.radians(Config().gyro.rate_noise_deg_s))
     assert found.walk_rad < 1.5 * of_both
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('scale_factor', [1.0, 1.01])
+def test_a_scale_factor_of_exactly_one_is_suspicious(scale_factor: float) -> None:
+    """It is that of a reference that is computed from the gyro."""
+    scenario = replace(find_scenario('cleaning'), duration_s=60.0, imu_hz=100, camera_hz=1)
+    changed = replace(scenario, errors=replace(scenario.errors, scale_factor=scale_factor))
+    run = calibrate(ReferenceSource(SimSource(changed, 4), 'mocap'), Config(), default_model())
+    suspicious = [event.text for event in run.events if 'computed from this gyro' in event.text]
+    assert len(suspicious) == (scale_factor == 1.0)

@@ -9,12 +9,15 @@ from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Span
 from gyrocal_ros.ekf.equations.heading import GYRO_LAG
 from gyrocal_ros.ekf.history.run import Run, RunEvent
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.pipeline.reference_fit import ReferenceFit
 
 MAX_MISFIT_DEG = 2.0
 """Largest rms difference of a usable reference from the best fit of the gyro, beyond its random walk."""
 WALKED_PART = 0.5
 """The same in the random walk over the recording: a walk leaves a quarter beside a straight line (rms)."""
+EXACT_STD, EXACT_SIGMA = 2.5e-4, 3.0
+"""Standard deviation of a scale factor that is 1 within three of them from which that is hardly chance."""
 REPORTED_OFFSET_S = 0.02
 """Smallest time offset that is reported."""
 
@@ -34,6 +37,12 @@ def reference_events(fitted: ReferenceFit, config: Config, span: Span, run: Run)
     if fitted.time_constant_s > 0.0:
         lag_ms = fitted.time_constant_s * 1e3
         text = f'the reference smooths its headings (time constant {lag_ms:.0f} ms); this is corrected'
+        yield RunEvent(span.start_ns, text)
+    if scale_std := _std_of_one(run):
+        text = (
+            f'the scale factor is exactly 1 (+- {100.0 * scale_std:.2g} %), as if the reference were '
+            'computed from this gyro; such a reference cannot calibrate it'
+        )
         yield RunEvent(span.start_ns, text)
     expected_deg_s = config.gyro.bias_walk_deg_s
     if fitted.bias_walk_deg_s > expected_deg_s:
@@ -55,3 +64,10 @@ def reference_events(fitted: ReferenceFit, config: Config, span: Span, run: Run)
             f'the reference does not fit the gyro: {misfit_deg:.1f} deg rms remain at best '
             f'(random walk {walked_deg:.1f} deg over the recording)',
         )
+
+
+def _std_of_one(run: Run) -> float:
+    """Return the standard deviation of a scale factor that is 1 beyond chance; 0 of any other."""
+    std = float(run.history.std[-1, COEFFICIENTS_START]) if len(run.history.std) else math.inf
+    is_one = abs(float(run.state.coefficients[0])) < EXACT_SIGMA * std
+    return std if is_one and std < EXACT_STD else 0.0

@@ -32,6 +32,7 @@ from gyrocal_ros.model.sensor import LimitEffect, with_means
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.sim.forward import HiddenEffect
+from gyrocal_ros.sim.references import ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario
 from gyrocal_ros.sim.world import SimSource
 
@@ -54,7 +55,6 @@ def proposed(
 def top_of(read: GyroReadings) -> float | None:
     """Return the limit of a saturation that the readings show."""
     found = RateSaturation().detect(read)
-    assert found is None or not found.is_certain, 'a robot may like one speed of turning'
     return None if found is None else found.value
 
 
@@ -342,6 +342,36 @@ def test_limits_that_may_break_the_filter_are_detected_without_a_run() -> None:
 def test_a_limit_is_known_not_estimated(name: str) -> None:
     (item,) = with_means(find_effect(name), (1.5,)).coefficients
     assert item.prior_mean == 1.5 and item.prior_std == 0.0
+
+
+def test_readings_that_are_all_the_same_at_the_top_prove_a_limit() -> None:
+    rate = deg(120.0) * np.sin(2.0 * np.pi * np.arange(6000) / HZ / 20.0)
+    found = RateSaturation().detect(readings(np.clip(rate + noise(6000, 0.05), -TOP, TOP), HZ))
+    assert found is not None and found.is_certain
+
+
+@pytest.mark.parametrize('step_deg_s', [1e-6, 0.5])
+def test_a_robot_that_likes_one_speed_of_turning_proves_none(step_deg_s: float) -> None:
+    """Nor if the converter is so coarse that most readings there are the same."""
+    rate, step = turning_rad_s(200.0), deg(step_deg_s)
+    found = RateSaturation().detect(readings(step * np.round((rate + noise(len(rate), 0.05)) / step)))
+    assert found is not None and not found.is_certain
+
+
+@pytest.mark.slow
+def test_a_limit_is_found_beside_motion_capture() -> None:
+    """What the gyro loses there passes for jumps of the reference, with which nothing seems to be missing."""
+    scenario = replace(find_scenario('cleaning'), duration_s=70.0, imu_hz=100, camera_hz=5)
+    hidden = (HiddenEffect(find_effect('rate_saturation'), (1.1,)),)
+    source, config = preload(
+        ReferenceSource(SimSource(scenario, 5, hidden=hidden), 'mocap'), Config(), default_model()
+    )
+    recorded = summarise_recording(source)
+    searched = find_missing(
+        default_model(), recorded, lambda model, tried: calibrate(source, config, model, candidates=tried)
+    )
+    (found,) = diagnose(searched, recorded).missing
+    assert found.effect.name == 'rate_saturation' and found.values[0] == pytest.approx(1.1, rel=1e-3)
 
 
 @pytest.mark.slow

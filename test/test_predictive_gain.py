@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import replace
 
@@ -38,6 +39,23 @@ def test_more_features_are_no_gain() -> None:
     np.testing.assert_allclose(predictive_gain(run_with(-2.0, 4.0), run_with(-4.0, 8.0)), 0.0, atol=1e-9)
     better = predictive_gain(run_with(-2.0, 4.0), run_with(-3.0, 8.0))
     assert better.sum() == pytest.approx(1000.0)
+
+
+def test_a_heading_that_is_not_used_counts_as_unknown() -> None:
+    """Else a run that takes every turn for a jump of the reference would predict best."""
+
+    def by_heading(rejected: int) -> Run:
+        made = run_with(1.0, (np.arange(round(DURATION_S / DT_S)) >= rejected).astype(float))
+        history, dof = made.history, made.history.dof
+        history = replace(
+            history, log_likelihood=dof * history.log_likelihood, rejected=(dof == 0).astype(int)
+        )
+        return replace(made, history=history, rig=replace(made.rig, camera=None))
+
+    gain = predictive_gain(by_heading(20), by_heading(0)).sum()
+    assert gain == pytest.approx(20 * (1.0 + math.log(2.0 * math.pi)))
+    in_images = [replace(by_heading(rejected), rig=drive().run.rig) for rejected in (20, 0)]
+    assert predictive_gain(*in_images).sum() == pytest.approx(0.0, abs=1e-9)
 
 
 class TestFeaturesOfTwoRuns:

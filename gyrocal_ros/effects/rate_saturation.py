@@ -34,6 +34,9 @@ OUTLIERS = 20
 """Number of largest readings that are ignored: noise on top of a limit."""
 BEYOND = 1.05
 """Limit of a side that has none, relative to its largest reading."""
+REPEATED, TIMES_OTHERS = 50, 20
+"""Number of equal readings at a limit which proves it, and relative to the number at any other value below:
+a robot that turns at one rate is read with noise, or with all values as coarse."""
 PASSED_SIGMA = 5.0
 """Standard deviations of the noise beyond which a reading has passed a limit: then it is none."""
 
@@ -97,7 +100,7 @@ class RateSaturation:
             return None
         if any(_passed(side * readings.rate_rad_s, limit) > OUTLIERS for side in (1.0, -1.0)):
             return None
-        return DetectedLimit(limit, is_certain=False)
+        return DetectedLimit(limit, _is_repeated(readings.rate_rad_s, limit))
 
     def of_each_side(self, readings: GyroReadings) -> RateSaturation | None:
         """Return limits of both sides that differ, as readings of each accumulate; one side may have none.
@@ -144,6 +147,17 @@ def _accumulation(size_rad_s: Array, readings: GyroReadings) -> float | None:
     rate_hz = NS_PER_S / float(np.median(np.diff(readings.t_ns)))
     at_top = size_rad_s[size_rad_s > top]
     return float(np.median(at_top)) if len(at_top) > OUTLIERS + MIN_TOP_S * rate_hz else None
+
+
+def _is_repeated(rate_rad_s: Array, limit: float) -> bool:
+    """Return True if one value of the readings (n,) at a limit is repeated far more often than any below it.
+
+    Zero does not count: there may be a dead band besides.
+    """
+    values, counts = np.unique(rate_rad_s[rate_rad_s != 0.0], return_counts=True)
+    is_top = np.abs(values) > TOP_PART * limit
+    at_top, below = counts[is_top].max(initial=0), counts[~is_top].max(initial=1)
+    return bool(at_top >= max(REPEATED, TIMES_OTHERS * below))
 
 
 def _passed(rate_rad_s: Array, limit: float) -> int:

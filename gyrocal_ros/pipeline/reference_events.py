@@ -18,6 +18,8 @@ WALKED_PART = 0.5
 """The same in the random walk over the recording: a walk leaves a quarter beside a straight line (rms)."""
 EXACT_STD, EXACT_SIGMA = 2.5e-4, 3.0
 """Standard deviation of a scale factor that is 1 within three of them from which that is hardly chance."""
+ONE = 2e-4
+"""Difference from 1 that the rules of integration make."""
 REPORTED_OFFSET_S = 0.02
 """Smallest time offset that is reported."""
 
@@ -69,5 +71,5 @@ def reference_events(fitted: ReferenceFit, config: Config, span: Span, run: Run)
 def _std_of_one(run: Run) -> float:
     """Return the standard deviation of a scale factor that is 1 beyond chance; 0 of any other."""
     std = float(run.history.std[-1, COEFFICIENTS_START]) if len(run.history.std) else math.inf
-    is_one = abs(float(run.state.coefficients[0])) < EXACT_SIGMA * std
+    is_one = abs(float(run.state.coefficients[0])) < max(EXACT_SIGMA * std, ONE)
     return std if is_one and std < EXACT_STD else 0.0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,6 +12,8 @@ from gyrocal_ros.ekf.history.feature_likelihoods import FeatureLikelihoods
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.history.score_statistics import BLOCK_S
 
+UNKNOWN_HEADING = math.log(2.0 * math.pi)
+"""Negative log-likelihood of a heading of which nothing is known."""
 MIN_SHARED = 0.5
 """Share of the features of an image, by the run that uses more, that both have to use to be compared by."""
 
@@ -21,10 +24,15 @@ def predictive_gain(before: Run, after: Run) -> Array:
     The prequential log-likelihood (Dawid 1984) sums the log-likelihood of each measurement given all before
     it, so further coefficients have already paid for themselves. Using more or fewer features neither helps
     nor harms: of an image those count that both runs use. Where these are few, each counts as a usual one. An
-    image counts for neither while coefficients of one of them wait for the camera to move.
+    image counts for neither while coefficients of one of them wait for the camera to move. A heading that is
+    not used counts as one of which nothing is known: else a run that takes every turn for a jump of the
+    reference would predict best.
     """
     usual = _usual(before)
-    scores = [run.history.log_likelihood - usual * run.history.dof for run in (before, after)]
+    scores = [
+        run.history.log_likelihood - usual * run.history.dof - (usual + UNKNOWN_HEADING) * _lost_headings(run)
+        for run in (before, after)
+    ]
     if before.features is not None and after.features is not None:
         steps = min(len(score) for score in scores)
         sides = [
@@ -45,6 +53,14 @@ def predictive_gain(before: Run, after: Run) -> Array:
         for run, score in zip((before, after), scores, strict=True)
     )
     return np.subtract(second, first, dtype=float)
+
+
+def _lost_headings(run: Run) -> IntArray:
+    """Return the number (s,) of headings of another reference that were not used."""
+    history = run.history
+    if run.rig.camera is not None:
+        return np.zeros(len(history.log_likelihood), np.int64)
+    return history.rejected.astype(np.int64) * (history.dof == 0)
 
 
 def _usual(run: Run) -> float:

@@ -18,6 +18,7 @@ from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
 from gyrocal_ros.pipeline.heading_reference import fit_reference
 from gyrocal_ros.pipeline.reference_fit import ReferenceFit
+from gyrocal_ros.pipeline.reference_readings import Readings, track_at
 from gyrocal_ros.sim.forward import HiddenEffect
 from gyrocal_ros.sim.references import ReferenceSource
 from gyrocal_ros.sim.scenarios import find_scenario
@@ -187,3 +188,13 @@ def test_a_scale_factor_of_exactly_one_is_suspicious(scale_factor: float) -> Non
     run = calibrate(ReferenceSource(SimSource(changed, 4), 'mocap'), Config(), default_model())
     suspicious = [event.text for event in run.events if 'computed from this gyro' in event.text]
     assert len(suspicious) == (scale_factor == 1.0)
+
+
+def test_a_turn_that_begins_between_two_samples_is_not_cut() -> None:
+    """Along lines between the samples the heading would lag by half a degree."""
+    time_s = np.arange(0.0, 5.0, 0.1)
+    none, heading_s = np.zeros(len(time_s)), np.arange(0.5, 4.5, 0.033)
+    readings = Readings(time_s, 4.0 * time_s, 2.0 * time_s**2, none, 0.0, heading_s, 2.0 * heading_s**2)
+    found = track_at(readings, 0.0)
+    np.testing.assert_allclose(found.turned_rad, 2.0 * heading_s**2, atol=1e-9)
+    np.testing.assert_allclose(found.rate_rad_s, 4.0 * heading_s, atol=1e-9)

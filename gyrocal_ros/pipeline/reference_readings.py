@@ -115,7 +115,7 @@ def track_at(readings: Readings, offset_s: float, gyro: tuple[float, float] = (1
     time_s = time_s[inside]
     around = float(np.median(np.diff(imu_s)))
     turned, before, after = (
-        np.interp(time_s + shift_s, imu_s, readings.turned_rad) for shift_s in (0.0, -around, around)
+        _interpolated(time_s + shift_s, imu_s, readings.turned_rad) for shift_s in (0.0, -around, around)
     )
     expected = gyro[0] * turned + gyro[1] * time_s
     at_rest = np.diff(readings.rested_s) / np.diff(imu_s)
@@ -156,6 +156,22 @@ def comparable(readings: Readings) -> Readings:
     inner = (heading_s > ends_s[0] + MARGIN_S) & (heading_s < ends_s[1] - MARGIN_S)
     step = max(-(-int(inner.sum()) // MAX_HEADINGS), 1)
     return replace(readings, heading_s=heading_s[inner][::step], yaw_rad=readings.yaw_rad[inner][::step])
+
+
+def _interpolated(at_s: Array, time_s: Array, turned_rad: Array) -> Array:
+    """Interpolate turns (i,) at times (i,) by cubic Hermite splines, at times (n,); constant beyond the ends.
+
+    A line between two samples cuts the corner where the rate changes, which would look like a low pass.
+    """
+    if len(time_s) < 3:
+        return np.interp(at_s, time_s, turned_rad)
+    rate = np.gradient(turned_rad, time_s)
+    after = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
+    interval_s = time_s[after] - time_s[after - 1]
+    part = np.clip((at_s - time_s[after - 1]) / interval_s, 0.0, 1.0)
+    step_rad = turned_rad[after] - turned_rad[after - 1]
+    start, end = rate[after - 1] * interval_s - step_rad, step_rad - rate[after] * interval_s
+    return turned_rad[after - 1] + part * step_rad + part * (1.0 - part) * ((1.0 - part) * start + part * end)
 
 
 def _increments(values: Array) -> Array:

@@ -22,8 +22,9 @@ from gyrocal_ros.pipeline.reference_fit import HeadingTrack, ReferenceFit, log_l
 
 TIME_CONSTANTS_S = (0.01, 0.03, 0.1, 0.3)
 """Time constants that are tried first."""
-RATIOS = (2.0, 1.4, 1.2, 1.1)
-"""Steps by which the best is then improved."""
+RATIOS, BESIDE = (2.0, 1.4, 1.2, 1.1, 1.05, 1.02, 1.01, 1.005), 0.1
+"""Steps by which the best is then improved, and distance from it at which the likelihood gives its standard
+deviation, both relative."""
 MIN_GAIN = 18.0
 """Gain of log-likelihood from which there is a low pass: six standard deviations, because other things that
 the fit neglects look a little like it."""
@@ -99,14 +100,9 @@ def find_low_pass(
     )
     if gain <= MIN_GAIN or not is_low_pass:
         return None
-    # The parabola through the best and its neighbours.
-    near_s = best_s * np.array([1.0 / RATIOS[-1], 1.0, RATIOS[-1]])
-    curve = np.polyfit(
-        near_s - best_s, [likelihood(at_s) - likelihood(best_s) for at_s in near_s.tolist()], 2
-    )
-    information = max(-2.0 * float(curve[0]), 1.0 / best_s**2)
-    shift_s = float(np.clip(float(curve[1]) / information, near_s[0] - best_s, near_s[2] - best_s))
-    return LowPass(best_s + shift_s, 1.0 / math.sqrt(information), gain)
+    lost = sum(likelihood(best_s) - likelihood(best_s * ratio) for ratio in (1.0 - BESIDE, 1.0 + BESIDE))
+    information = max(lost / (BESIDE * best_s) ** 2, 1.0 / best_s**2)
+    return LowPass(best_s, 1.0 / math.sqrt(information), gain)
 
 
 def with_true_headings(

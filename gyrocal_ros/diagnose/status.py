@@ -72,8 +72,8 @@ TEST = 'Test the model on another recording.'
 LARGE_DRIFT_DEG = 1.0
 """Blind drift in a minute that is large, though noise or a limit of the gyro explains it."""
 FIND_NOISE = (
-    'Trust the heading only while the camera sees the ceiling; look for what disturbs the gyro, and turn '
-    'more slowly if it has a limit.'
+    'Trust the heading only with the ceiling or the heading reference in view; look for what disturbs the '
+    'gyro, and turn more slowly if it has a limit.'
 )
 MEND_YAW = 'Subtract that from the yaw of the camera in its transform, and record again.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'

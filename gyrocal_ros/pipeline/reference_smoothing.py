@@ -28,7 +28,6 @@ deviation, both relative."""
 MIN_GAIN = 18.0
 """Gain of log-likelihood from which there is a low pass: six standard deviations, because other things that
 the fit neglects look a little like it."""
-
 PARTS, LEAST_GAIN = (0.3, 0.5, 0.7, 0.85), 0.5
 """Time constants relative to the best, and what they gain at least relative to theory."""
 

@@ -216,7 +216,7 @@ class HeadingReference:
         """Return the time by which the nominal gyro lags, according to the model at its start."""
         if self._lag is None:
             return 0.0
-        return self._lag.mean_s / (1.0 + float(state.coefficients[SCALE - 1]))
+        return self._lag.mean_s / (1.0 + float(state.mean[COEFFICIENTS_START]))
 
     def _learn(self, yaw_rad: float, rate_rad_s: float, delay_s: float) -> bool:
         """Learn from a heading what the reference is like; return True if it may be used."""

@@ -191,10 +191,21 @@ def test_a_scale_factor_of_exactly_one_is_suspicious(scale_factor: float) -> Non
 
 
 def test_a_turn_that_begins_between_two_samples_is_not_cut() -> None:
-    """Along lines between the samples the heading would lag by half a degree."""
-    time_s = np.arange(0.0, 5.0, 0.1)
+    """Along lines between the samples the heading would lag by up to 0.05 deg."""
+    time_s = np.arange(0.0, 5.0, 0.04)
     none, heading_s = np.zeros(len(time_s)), np.arange(0.5, 4.5, 0.033)
     readings = Readings(time_s, 4.0 * time_s, 2.0 * time_s**2, none, 0.0, heading_s, 2.0 * heading_s**2)
     found = track_at(readings, 0.0)
     np.testing.assert_allclose(found.turned_rad, 2.0 * heading_s**2, atol=1e-9)
     np.testing.assert_allclose(found.rate_rad_s, 4.0 * heading_s, atol=1e-9)
+
+
+def test_a_gap_of_the_gyro_is_bridged_by_a_line() -> None:
+    """A spline would run on at the rate before it, for as long as the gap is."""
+    time_s = np.concatenate([np.arange(0.0, 2.0, 0.1), np.arange(10.0, 12.0, 0.1)])
+    turned = np.where(time_s < 5.0, time_s, time_s - 8.0)
+    none, heading_s = np.zeros(len(time_s)), np.arange(0.5, 11.5, 0.25)
+    found = track_at(
+        Readings(time_s, np.ones(len(time_s)), turned, none, 0.0, heading_s, 0.0 * heading_s), 0.0
+    )
+    np.testing.assert_allclose(found.turned_rad, np.interp(heading_s, time_s, turned), atol=1e-9)

@@ -161,7 +161,8 @@ def comparable(readings: Readings) -> Readings:
 def _interpolated(at_s: Array, time_s: Array, turned_rad: Array) -> Array:
     """Interpolate turns (i,) at times (i,) by cubic Hermite splines, at times (n,); constant beyond the ends.
 
-    A line between two samples cuts the corner where the rate changes, which would look like a low pass.
+    A line between two samples cuts the corner where the rate changes, which would look like a low pass. In a
+    gap it is all that is known.
     """
     if len(time_s) < 3:
         return np.interp(at_s, time_s, turned_rad)
@@ -171,7 +172,8 @@ def _interpolated(at_s: Array, time_s: Array, turned_rad: Array) -> Array:
     part = np.clip((at_s - time_s[after - 1]) / interval_s, 0.0, 1.0)
     step_rad = turned_rad[after] - turned_rad[after - 1]
     start, end = rate[after - 1] * interval_s - step_rad, step_rad - rate[after] * interval_s
-    return turned_rad[after - 1] + part * step_rad + part * (1.0 - part) * ((1.0 - part) * start + part * end)
+    bend = part * (1.0 - part) * ((1.0 - part) * start + part * end)
+    return turned_rad[after - 1] + part * step_rad + np.where(interval_s > GAP_NS / NS_PER_S, 0.0, bend)
 
 
 def _increments(values: Array) -> Array:

@@ -117,7 +117,7 @@ def with_std(value: float, std: float) -> str:
 def with_gain(gain: float, sigma: float) -> str:
     """Return a gain of log-likelihood with its significance where that is known."""
     if not math.isfinite(gain):
-        return 'diverges without it'
+        return 'fails without it'
     return f'{gain:+.1f} ({sigma:.1f} sigma)' if math.isfinite(sigma) else f'{gain:+.1f}'
 
 

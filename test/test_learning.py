@@ -398,6 +398,7 @@ class TestClosedFormsOfMemories:
             ('any_turn', 'since the last turn ended', 'after a turn'),
             ('last_rest', 'since the last rest ended', 'after a rest'),
             ('start', 'since the start', 'after the start'),
+            (f'below_15.5:{VOLTAGE}', f'since a fall of {VOLTAGE} past 15.5', f'after a fall of {VOLTAGE}'),
             ('dynamics', 'w is the yaw rate', 'where a turn to 1 rad/s sets in'),
         ],
     )
@@ -762,8 +763,17 @@ class TestWhatIsRequested:
             ({'kind': 'memory', 'follows': 'turn_side'}, {'bias_memory:turn_side'}),
             ({'kind': 'curve', 'follows': 'temperature', 'acts_on': 'scale'}, {'scale_curve:temperature'}),
             (
-                {'follows': 'fan.data'},
-                {f'{of}_{kind}:fan.data' for of in ('bias', 'scale') for kind in ('curve', 'memory')},
+                {'kind': 'curve', 'follows': 'fan.data'},
+                {'bias_curve:fan.data', 'scale_curve:fan.data'},
+            ),
+            (
+                {'kind': 'memory', 'follows': 'fan.data', 'acts_on': 'scale'},
+                {'scale_memory:fan.data'}
+                | {
+                    f'scale_memory:{side}_{value}:fan.data'
+                    for side in ('above', 'below')
+                    for value in (2.25, 4.5, 6.75)
+                },
             ),
         ],
     )

@@ -19,6 +19,7 @@ from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.laws.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing
 from gyrocal_ros.effects import EFFECTS, default_model, find_effect
+from gyrocal_ros.effects.learned.events import event_of
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.model.sensor import Effect, SensorModel
@@ -157,12 +158,23 @@ def run_stranger(law: str, seed: int) -> StrangerResult:
         learned=learned,
         form=next((law.forms[0].form.name for law in known.laws if law.forms), ''),
         scale_sigma=scale_error / calibrated.scale_factor_std,
-        is_right=not learned if law == NOTHING else bool(set(learned) & set(STRANGERS[law].right)),
+        is_right=not learned if law == NOTHING else _is_right(law, learned),
         drift_before_deg=_held_out_deg(found.first.run),
         drift_after_deg=_held_out_deg(found.last.run),
     )
     claims = any(name in EFFECTS for name in learned)
     return replace(result, names_library=claims and not result.is_good)
+
+
+def _is_right(law: str, learned: Sequence[str]) -> bool:
+    """Return True if an effect of the right kind and signal was learned, an event at any value."""
+    return not set(map(_without_value, STRANGERS[law].right)).isdisjoint(map(_without_value, learned))
+
+
+def _without_value(name: str) -> str:
+    kind, _, follows = name.partition(':')
+    event = event_of(follows)
+    return name if event is None else f'{kind}:{event.kind}:{event.signal}'
 
 
 def _drift_deg(source: SimSource, model: SensorModel) -> float:

@@ -32,6 +32,7 @@ from gyrocal_ros.diagnose.search.additions import Search
 from gyrocal_ros.diagnose.search.improvement import improvement
 from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.effects.learned.as_effect import effect_source
+from gyrocal_ros.effects.learned.events import event_of
 from gyrocal_ros.errors import ConfigError, did_you_mean
 from gyrocal_ros.files import write_text_atomic
 from gyrocal_ros.report.laws import nothing_learned
@@ -124,7 +125,9 @@ def requested(args: argparse.Namespace, names: Sequence[str]) -> tuple[str, ...]
         return ()
     wanted = []
     for name in names:
-        kind, _, signal = name.partition(':')
+        kind, _, follows = name.partition(':')
+        event = event_of(follows)
+        signal = follows if event is None else event.signal
         of, _, shape = kind.partition('_')
         if args.kind in (None, shape) and args.acts_on in (None, of):
             wanted.append((name, signal))

@@ -22,7 +22,8 @@ from gyrocal_ros.diagnose.search.additions import Addition, Search
 from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import DYNAMICS, START
-from gyrocal_ros.effects.learned.memory import DRIVES, ExponentialBank
+from gyrocal_ros.effects.learned.events import event_of
+from gyrocal_ros.effects.learned.memory import ExponentialBank, drive_in_words
 from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, HEADING, RATE
 from gyrocal_ros.effects.learned.step import Step
@@ -178,7 +179,7 @@ def structure_of(law: Addition) -> UnexplainedStructure:
     effect = law.effect
     kind, _, follows = effect.name.partition(':')
     of = kind.partition('_')[0]
-    signal = PLACE if isinstance(effect, PlaceMap) else SIGNALS.get(follows, DRIVES.get(follows, follows))
+    signal = PLACE if isinstance(effect, PlaceMap) else SIGNALS.get(follows, drive_in_words(follows))
     at_s, shape = None, ErrorShape(signal, of == 'scale', *np.empty((3, 0)))
     what = f'the {of} goes with {signal}'
     values = law.after.estimate_of(effect.name)[0]
@@ -188,6 +189,8 @@ def structure_of(law: Addition) -> UnexplainedStructure:
     elif isinstance(effect, Wave):
         amplitude = _in_words(of, float(np.hypot(values[0], values[len(values) // 2])))
         what = f'the {of} oscillates with an amplitude of {amplitude} and a period of {effect.period_s:.1f} s'
+    elif (event := event_of(follows)) is not None:
+        what = f'the {of} changes after {event.in_words}, and fades'
     elif isinstance(effect, ExponentialBank) and effect.over == 'response':
         what = f'the {of} goes with earlier values of {signal}'
     if isinstance(effect, Curve):

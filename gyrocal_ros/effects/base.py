@@ -25,6 +25,7 @@ Stimulus: TypeAlias = Literal[
     'heading',
     'place',
     'signal',
+    'event',
     'image',
 ]
 """Quantity against which `sketch` shows an effect."""

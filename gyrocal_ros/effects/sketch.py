@@ -13,6 +13,7 @@ from gyrocal_ros.effects.base import LibraryEffect, with_unit
 from gyrocal_ros.effects.describe import place_of
 from gyrocal_ros.effects.traits import required_signals
 from gyrocal_ros.model.camera import mount_from_yaw, project
+from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import CameraEffectOnOdometry, GyroEffectOnReadings
 
 COUNT = 401
@@ -233,6 +234,16 @@ def _signal(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
     return f'{signal} less its mean{TURNING}', x, _turning(covariates={signal: x})
 
 
+def _event(effect: LibraryEffect) -> tuple[str, Array, MotionBlock]:
+    """Return a signal that is high, low and high, beyond any value."""
+    (signal,) = required_signals(effect)
+    x = np.linspace(0.0, 60.0, COUNT)
+    high = np.where((x > 5.0) & (x < 30.0), -np.inf, np.inf)
+    recorded = {'temperature_c': high} if signal == TEMPERATURE else {'covariates': {signal: high}}
+    label = f'time, with a fall of {signal} at 5 s and a rise at 30 s (s){TURNING}'
+    return label, x, _turning(dt_s=np.gradient(x), **recorded)
+
+
 _STIMULI: dict[str, Callable[[LibraryEffect], tuple[str, Array, MotionBlock]]] = {
     'rate': _rate,
     'slow rate': _slow_rate,
@@ -246,6 +257,7 @@ _STIMULI: dict[str, Callable[[LibraryEffect], tuple[str, Array, MotionBlock]]] =
     'heading': _heading,
     'place': _place,
     'signal': _signal,
+    'event': _event,
 }
 
 

@@ -9,6 +9,7 @@ from gyrocal_ros.diagnose.laws.bump_fit import BumpFit
 from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm
 from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.drives import ABS_RATE, ANY_TURN, LAST_REST, LAST_TURN, MOVING, SIDE, START
+from gyrocal_ros.effects.learned.events import event_of
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.describe import with_std
 
@@ -40,7 +41,9 @@ DRIVES = {
 def law_in_words(law: LearnedLaw) -> Iterator[str]:
     """Yield a learned law in lines of text, with its closed forms."""
     remembers = law.kind.endswith('memory')
+    event = event_of(law.follows)
     follows = DRIVES.get(law.follows, law.follows) if remembers else law.follows
+    follows = follows if event is None else f'{event.in_words}, and fades after it'
     parameters = {name: getattr(law.effect, name, 0.0) for name in ('at_s', 'period_s')}
     what = KINDS[law.kind].format(follows=follows, **parameters)
     yield f'Learned {law.effect.name}: {what} ({math.degrees(law.rms):.3g} deg/s rms).'
@@ -67,6 +70,8 @@ def variable_of(law: LearnedLaw) -> str:
         return 'w is the yaw rate, rad/s'
     since = dict.fromkeys((LAST_TURN, ANY_TURN), 'the last turn ended')
     since |= {LAST_REST: 'the last rest ended', START: 'the start'}
+    if (event := event_of(law.follows)) is not None:
+        return f'x is the time since {event.in_words}, s'
     return f'x is the time since {since.get(law.follows, f"a unit step of {drive_in_words(law.follows)}")}, s'
 
 

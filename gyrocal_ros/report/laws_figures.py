@@ -11,6 +11,7 @@ from gyrocal_ros.diagnose.laws.closed_forms import ClosedForm, LearnedCurve, for
 from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, unit_of
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import ANY_TURN, LAST_REST, START
+from gyrocal_ros.effects.learned.events import event_of
 from gyrocal_ros.effects.learned.memory import ExponentialBank
 from gyrocal_ros.report.html import Section
 from gyrocal_ros.report.laws import drive_in_words, form_in_words
@@ -54,6 +55,8 @@ def _title_and_axis(effect: Curve | ExponentialBank) -> tuple[str, str]:
         return f'The {of} where a turn to 1 rad/s sets in', 'time (s)'
     if follows == START:
         return f'The {of} after the start', 'time (s)'
+    if (event := event_of(follows)) is not None:
+        return f'The {of} after {event.in_words}', 'time since it (s)'
     if follows == LAST_REST:
         return f'The {of} after a rest', 'time since its end (s)'
     if effect.over == 'fading':

@@ -19,6 +19,8 @@ DEG = math.radians(1.0)
 TURNING_RAD_S = 5.0 * DEG
 FULL_RATE_RAD_S = 100.0 * DEG
 USUAL_SPEED_M_S = 0.3
+BOOST_RPM = 13_000.0
+"""Speed of the fan that it has at full power only."""
 Contribution: TypeAlias = Callable[[MotionBlock, Array, Memory], tuple[Array, Memory]]
 
 
@@ -134,6 +136,17 @@ def _after_turns(block: MotionBlock, values: Array, memory: Memory) -> tuple[Arr
 def _after_any_turn(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
     rates, memory = _after_turns(block, values, memory)
     return np.abs(rates), memory
+
+
+def _after_boosts(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
+    was_full, now = memory or (True, 0.0)
+    column: list[float] = []
+    full = _recorded(block, 'fan_speed.data') > BOOST_RPM
+    for is_full, dt_s in zip(full.tolist(), block.dt_s.tolist(), strict=True):
+        now = 1.0 if is_full and not was_full else now * math.exp(-dt_s / values[1])
+        was_full = is_full
+        column.append(now)
+    return values[0] * np.array(column), (was_full, now)
 
 
 def _swinging(block: MotionBlock, values: Array, memory: Memory) -> tuple[Array, Memory]:
@@ -293,6 +306,14 @@ STRANGERS: dict[str, Known] = {
             _after_any_turn,
             ('bias_memory:any_turn',),
             'relaxation after turns to both sides alike',
+            ('fading exponential',),
+        ),
+        Stranger(
+            'stranger_boost',
+            (_size(0.1 * DEG, 0.5 * DEG), _fixed('time_constant', 's', 3.0, 12.0)),
+            _after_boosts,
+            ('bias_memory:above_13000:fan_speed.data',),
+            'field and supply ripple of a motor that runs up',
             ('fading exponential',),
         ),
         Stranger(

@@ -26,12 +26,14 @@ from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.curve import LENGTHS as CURVE_LENGTHS
 from gyrocal_ros.effects.learned.curve import TYPICAL, Of
 from gyrocal_ros.effects.learned.curve import prior_stds as curve_stds
+from gyrocal_ros.effects.learned.events import MIN_EVENTS, count_events, event_of, events_in
 from gyrocal_ros.effects.learned.memory import OF_SCALE, TAUS_S
 from gyrocal_ros.effects.learned.place_map import LENGTHS as MAP_LENGTHS
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
 from gyrocal_ros.effects.learned.signals import HEADING, RATE, to_record
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.history.score_statistics import ScoreStatistics
+from gyrocal_ros.model.recording import TEMPERATURE
 from gyrocal_ros.model.sensor import Coefficient, Effect
 
 AMPLITUDES = np.geomspace(0.01, 100.0, 17)
@@ -105,9 +107,34 @@ def laws(run: Run, ranges: Mapping[str, tuple[float, float]], only: Sequence[str
         ranges: range of each signal.
         only: names out of `law_names`; empty for all.
     """
-    present = {effect.name for effect in run.model.effects}
+    present, events = {effect.name for effect in run.model.effects}, _events(run, ranges)
     found = [*_curves(ranges), *_memories(ranges), *_map(run), *_steps(run), *_waves(run)]
-    return [law for law in found if law.effect.name not in present and (not only or law.effect.name in only)]
+    return [
+        law
+        for law in found
+        if law.effect.name not in present
+        and (not only or law.effect.name in only)
+        and (event_of(follows := law.effect.name.partition(':')[2]) is None or follows in events)
+    ]
+
+
+def _events(run: Run, ranges: Mapping[str, tuple[float, float]]) -> set[str]:
+    """Return the drives of the events in a recording: of each signal its most frequent rise and fall."""
+    found, history = set(), run.history
+    recorded = dict(zip(run.signal_names, history.signals.T, strict=True)) | {
+        TEMPERATURE: history.temperature_c
+    }
+    for name in ranges.keys() & recorded.keys():
+        values = recorded[name]
+        events = events_in(name, *ranges[name])
+        for rises in (True, False):
+            counts = {
+                event: count_events(event, values, history.dt_s) for event in events if event.rises == rises
+            }
+            most = max(counts, key=counts.__getitem__)
+            if counts[most] >= MIN_EVENTS:
+                found.add(most.drive)
+    return found
 
 
 def fine_steps(of: Of, at_s: float, half_s: float) -> list[Law]:
@@ -179,8 +206,9 @@ def _curves(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
 
 def _memories(ranges: Mapping[str, tuple[float, float]]) -> Iterator[Law]:
     recorded = [name for name in ranges if to_record(name)]
-    effects = [memory('bias', drive) for drive in (*TAUS_S, *recorded)]
-    effects += [memory('scale', drive) for drive in (*OF_SCALE, *recorded)]
+    events = [event.drive for name in recorded for event in events_in(name, *ranges[name])]
+    effects = [memory('bias', drive) for drive in (*TAUS_S, *recorded, *events)]
+    effects += [memory('scale', drive) for drive in (*OF_SCALE, *recorded, *events)]
     for effect in effects:
         yield _law(effect, [np.array([item.prior_std for item in effect.coefficients])])
 

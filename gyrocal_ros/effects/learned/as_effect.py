@@ -10,9 +10,10 @@ from gyrocal_ros.effects.base import Stimulus
 from gyrocal_ros.effects.learned.causes import meaning, meaning_of_memory
 from gyrocal_ros.effects.learned.curve import Of
 from gyrocal_ros.effects.learned.effect_code import Closed, code_of
+from gyrocal_ros.effects.learned.events import event_of
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory import TAUS_S, memory_shown_against
-from gyrocal_ros.effects.learned.signals import shown_against, to_record
+from gyrocal_ros.effects.learned.signals import shown_against
 from gyrocal_ros.effects.learned.wave import Wave
 
 TEMPLATE = '''"""{title}
@@ -123,7 +124,9 @@ def _words_of_formula(effect: Formula) -> _Words:
     of, follows, form = effect.learned.of, effect.learned.follows, effect.closed_form
     remembers = form.over not in ('signal', 'heading')
     is_of_motion = remembers and follows in TAUS_S
-    turns, changes = 'single turns with rests between them', f'what changes {follows} over all of its range'
+    event = event_of(follows)
+    signal = follows if event is None else event.signal
+    turns, changes = 'single turns with rests between them', f'what changes {signal} over all of its range'
     return _Words(
         of,
         follows,
@@ -132,7 +135,7 @@ def _words_of_formula(effect: Formula) -> _Words:
         best_motion=turns if is_of_motion else f'{changes}, again and again',
         shown_against=memory_shown_against(follows) if remembers else shown_against(follows),
         remembers=remembers,
-        needed='' if is_of_motion else to_record(follows),
+        needed=effect.signal,
     )
 
 

@@ -12,6 +12,7 @@ from gyrocal_ros.effects.learned.drives import (
     SIDE,
     START,
 )
+from gyrocal_ros.effects.learned.events import event_of
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, RATE
 from gyrocal_ros.model.recording import TEMPERATURE
@@ -96,7 +97,8 @@ def library_effect(of: str, follows: str, form: str) -> str:
 
 def closest_effect(of: str, drive: str) -> str:
     """Return the effect of the library that resembles a memory of this drive most."""
-    return _CLOSEST.get((of, drive), f'covariate_{of}:{drive}')
+    event = event_of(drive)
+    return _CLOSEST.get((of, drive), f'covariate_{of}:{drive if event is None else event.signal}')
 
 
 def meaning(signal: str, form: str = '') -> str:
@@ -113,6 +115,8 @@ def meaning_of_memory(of: str, drive: str) -> str:
     """Return what a memory of this drive usually means, in a few words."""
     if drive == START:
         return _SETTLING[of]
+    if event_of(drive) is not None:
+        return 'current, heat or magnetism of what is switched then, which settles'
     return _MEANINGS_OF_MEMORIES.get(
         drive, f'heat of what goes with {drive}, which reaches the sensor late (Newton: law of cooling)'
     )

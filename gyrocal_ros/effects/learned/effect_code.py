@@ -10,6 +10,7 @@ from typing import TypeAlias
 from gyrocal_ros.effects.learned.bump import Bump
 from gyrocal_ros.effects.learned.curve import Of
 from gyrocal_ros.effects.learned.drives import ANY_TURN, LAST_REST, START
+from gyrocal_ros.effects.learned.events import event_of
 from gyrocal_ros.effects.learned.formula import Formula
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER, SECOND_ORDER
 from gyrocal_ros.effects.learned.wave import ORDERS, Sine, Wave
@@ -28,7 +29,7 @@ from gyrocal_ros.model.sensor import Coefficient
 """
 MEMORY_IMPORTS = """from gyrocal_ros.data import Array, MotionBlock
 from gyrocal_ros.effects.base import Explanation, LinearMemoryEffect, column
-from gyrocal_ros.effects.learned.drives import {helpers}
+from gyrocal_ros.effects.learned.{module} import {helpers}
 from gyrocal_ros.model.sensor import Coefficient, Memory
 """
 CURVE = '''    def columns(self, block: MotionBlock) -> Array:
@@ -50,7 +51,7 @@ REMEMBERED = '''    def remembered(self, block: MotionBlock, memory: Memory) -> 
         """Return the terms of the form (N, {count}), and what the next block has to know."""
 '''
 FADING = """        # {what}, and the time since its end in s.
-        {factor}, x, memory = {helper}(block, memory)
+        {factor}, x, memory = {call}
         p = P
         terms = (
 {terms}
@@ -143,7 +144,7 @@ def _remembered(effect: Formula, terms: Sequence[str]) -> Code:
     """Return the code of a form with a memory."""
     form, follows = effect.closed_form, effect.learned.follows
     if form.over == 'fading':
-        helpers, body, x_is = _fading(follows, terms)
+        helpers, body, x_is = _fading(effect.learned.of, follows, terms)
     elif form.over == 'dynamics':
         helpers, body = (
             'derivatives',
@@ -154,19 +155,28 @@ def _remembered(effect: Formula, terms: Sequence[str]) -> Code:
         body = RESPONSES[form.name].format(follows=follows, rate=_rate(effect.learned.of))
         helpers = 'driven, lag' if 'lag(' in body else 'driven'
         x_is = f'x is the time after a unit step of {follows}'
-    method, imports = REMEMBERED.format(count=len(terms)) + body, MEMORY_IMPORTS.format(helpers=helpers)
+    method, module = (
+        REMEMBERED.format(count=len(terms)) + body,
+        'drives' if event_of(follows) is None else 'events',
+    )
+    imports = MEMORY_IMPORTS.format(module=module, helpers=helpers)
     constants = _constant(method, effect.constants)
     return Code(imports, 'LinearMemoryEffect', method, x_is, tuple(terms), constants)
 
 
-def _fading(follows: str, terms: Sequence[str]) -> tuple[str, str, str]:
-    """Return the helper, the code and the meaning of x of what fades after a turn or a rest."""
-    helper, factor, what = 'since_turn', 'side', 'The side of the last turn'
-    if follows == LAST_REST:
-        helper, factor, what = 'since_rest', 'drives', '1 where the robot drives after a rest, else 0'
-    signed = 'abs(side)' if follows == ANY_TURN else factor
-    body = FADING.format(terms=_listed(terms), what=what, factor=factor, helper=helper, signed=signed)
-    return helper, body, f'x is the time since the last {"rest" if follows == LAST_REST else "turn"}'
+def _fading(of: Of, follows: str, terms: Sequence[str]) -> tuple[str, str, str]:
+    """Return the helper, the code and the meaning of x of what fades after a turn, a rest or an event."""
+    helper, factor, what, since = 'since_turn', 'side', 'The side of the last turn', 'the last turn'
+    event = event_of(follows)
+    if event is not None:
+        helper, factor, what, since = 'since_event', 'size', '1 after the first event, else 0', event.in_words
+    elif follows == LAST_REST:
+        helper, factor, since = 'since_rest', 'drives', 'the last rest'
+        what = '1 where the robot drives after a rest, else 0'
+    call = f'{helper}(block, memory)' if event is None else f'since_event({follows!r}, block, memory)'
+    signed = _rate(of) + ('abs(side)' if follows == ANY_TURN else factor)
+    body = FADING.format(terms=_listed(terms), what=what, factor=factor, call=call, signed=signed)
+    return helper, body, f'x is the time since {since}'
 
 
 def _constant(method: str, parameters: tuple[float, ...]) -> str:

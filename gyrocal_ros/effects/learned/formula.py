@@ -22,6 +22,7 @@ from gyrocal_ros.effects.learned.drives import (
     since_rest,
     since_turn,
 )
+from gyrocal_ros.effects.learned.events import event_of, since_event
 from gyrocal_ros.effects.learned.forms import FORMS, Form, Over
 from gyrocal_ros.effects.learned.memory import ExponentialBank, memory
 from gyrocal_ros.effects.learned.memory_forms import FIRST_ORDER, MEMORY_FORMS, SECOND_ORDER
@@ -155,14 +156,17 @@ def _of_signal(effect: Formula, block: MotionBlock, before: Memory) -> tuple[Arr
 
 
 def _fading(effect: Formula, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
-    if effect.learned.follows == START:
+    follows = effect.learned.follows
+    if follows == START:
         return effect.closed_form.columns(block.time_s, effect.parameter), None
-    if effect.learned.follows == LAST_REST:
-        drives, elapsed_s, now = since_rest(block, before)
-        return drives[:, None] * effect.closed_form.columns(elapsed_s, effect.parameter), now
-    side, elapsed_s, now = since_turn(block, before)
-    side = np.abs(side) if effect.learned.follows == ANY_TURN else side
-    return side[:, None] * effect.closed_form.columns(elapsed_s, effect.parameter), now
+    if event_of(follows) is not None:
+        size, elapsed_s, now = since_event(follows, block, before)
+    elif follows == LAST_REST:
+        size, elapsed_s, now = since_rest(block, before)
+    else:
+        side, elapsed_s, now = since_turn(block, before)
+        size = np.abs(side) if follows == ANY_TURN else side
+    return size[:, None] * effect.closed_form.columns(elapsed_s, effect.parameter), now
 
 
 def _dynamics(effect: Formula, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:

@@ -28,6 +28,7 @@ from gyrocal_ros.effects.learned.drives import (
     since_rest,
     start_of_turn,
 )
+from gyrocal_ros.effects.learned.events import event_of, since_event
 from gyrocal_ros.effects.learned.forms import Over
 from gyrocal_ros.effects.learned.signals import RATE, required, to_record, values_of
 from gyrocal_ros.model.recording import TEMPERATURE
@@ -64,10 +65,25 @@ OF_SCALE = (START, ABS_RATE)
 _SHOWN_AGAINST: dict[str, Stimulus] = {START: 'time', TEMPERATURE: 'temperature'}
 OTHER_TAUS_S = (3.0, 10.0, 30.0, 100.0)
 """Time constants for any other signal."""
+EVENT_TAUS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
+"""Time constants of what fades after an event of a signal."""
+
+
+def taus_s(drive: str) -> tuple[float, ...]:
+    """Return the time constants of a memory of a drive."""
+    return TAUS_S.get(drive, OTHER_TAUS_S if event_of(drive) is None else EVENT_TAUS_S)
+
+
+def drive_in_words(drive: str) -> str:
+    """Return what a memory is driven by, as a noun."""
+    event = event_of(drive)
+    return DRIVES.get(drive, drive) if event is None else f'{event.in_words}, fading after it'
 
 
 def memory_shown_against(drive: str) -> Stimulus:
     """Return what a sketch varies to show a memory of a drive."""
+    if event_of(drive) is not None:
+        return 'event'
     return _SHOWN_AGAINST.get(drive, 'turn' if drive in TAUS_S else 'signal')
 
 
@@ -85,7 +101,7 @@ class ExponentialBank(LinearMemoryEffect):
             physics='The sensor remembers: its bias or its scale depends on what was, over a bank of time '
             'constants. A lag, a resonance, hysteresis and slow heating have this form.',
             equation=f'w = w_n + sum_j c_j h_j{" w_n" if self.of == "scale" else ""}, '
-            f'dh_j/dt = (u - h_j) / tau_j, u: {DRIVES.get(self.follows, self.follows)}',
+            f'dh_j/dt = (u - h_j) / tau_j, u: {drive_in_words(self.follows)}',
             usual_size='as found',
             best_motion='single turns with rests between them',
             source='Wahlberg 1991, System identification using Laguerre models, IEEE Transactions on '
@@ -96,12 +112,15 @@ class ExponentialBank(LinearMemoryEffect):
 
     @cached_property
     def follows(self) -> str:
-        """Name of the drive, a key of `TAUS_S` or a signal."""
+        """Name of the drive, a key of `TAUS_S`, a signal or an event of one."""
         return self.name.partition(':')[2]
 
     @property
     def signal(self) -> str:
         """Name of the signal where a recording may lack it, else empty."""
+        event = event_of(self.follows)
+        if event is not None:
+            return to_record(event.signal)
         return '' if self.follows in TAUS_S else to_record(self.follows)
 
     @property
@@ -112,12 +131,12 @@ class ExponentialBank(LinearMemoryEffect):
     @cached_property
     def tau_s(self) -> Array:
         """(q,) time constants."""
-        return np.array(TAUS_S.get(self.follows, OTHER_TAUS_S))
+        return np.array(taus_s(self.follows))
 
     @property
     def over(self) -> Over:
         """What its response is a function of."""
-        if self.follows in (LAST_TURN, ANY_TURN, LAST_REST, START):
+        if self.follows in (LAST_TURN, ANY_TURN, LAST_REST, START) or event_of(self.follows) is not None:
             return 'fading'
         return 'dynamics' if self.follows == DYNAMICS else 'response'
 
@@ -139,7 +158,8 @@ class ExponentialBank(LinearMemoryEffect):
 
     def remembered(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
         """Return the memories (N, k), times the rate for a scale."""
-        columns, memory = _BANKS.get(self.follows, _followed)(self, block, memory)
+        other = _followed if event_of(self.follows) is None else _after_event
+        columns, memory = _BANKS.get(self.follows, other)(self, block, memory)
         return columns * block.rate_rad_s[:, 2:] if self.of == 'scale' else columns, memory
 
 
@@ -148,14 +168,14 @@ def memory(of: Of, drive: str) -> ExponentialBank:
 
     Args:
         of: what remembers.
-        drive: a key of `TAUS_S`, or a signal.
+        drive: a key of `TAUS_S`, a signal, or an event of one.
 
     Raises:
         ConfigError: a scale cannot remember the rate or its side, since that is a bias.
     """
     if of == 'scale' and drive in TAUS_S:
         required(drive, OF_SCALE, f'scale_memory:{drive}')
-    count = len(TAUS_S.get(drive, OTHER_TAUS_S)) * (2 if drive == DYNAMICS else 1)
+    count = len(taus_s(drive)) * (2 if drive == DYNAMICS else 1)
     is_by_rate = of == 'bias' and drive in (DYNAMICS, RATE, ABS_RATE)
     std, unit = (0.1, '1') if is_by_rate else (TYPICAL[of], UNIT[of])
     items = tuple(Coefficient(f'c{number}', unit, std) for number in range(1, count + 1))
@@ -203,6 +223,11 @@ def _after_turn(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tu
 def _after_rest(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
     drives, elapsed_s, now = since_rest(block, before)
     return drives[:, None] * np.exp(-elapsed_s[:, None] / bank.tau_s), now
+
+
+def _after_event(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:
+    has_been, elapsed_s, now = since_event(bank.follows, block, before)
+    return has_been[:, None] * np.exp(-elapsed_s[:, None] / bank.tau_s), now
 
 
 def _since_start(bank: ExponentialBank, block: MotionBlock, before: Memory) -> tuple[Array, Memory]:

@@ -24,7 +24,7 @@ from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
 from gyrocal_ros.diagnose.noise import find_missing
-from gyrocal_ros.diagnose.status import LAW_OR_NOISE, MEND_YAW, diagnosis_status
+from gyrocal_ros.diagnose.status import LAW_OR_NOISE, MEND_KNOCK, MEND_YAW, diagnosis_status
 from gyrocal_ros.diagnose.unknown_law import name_unknown
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.model.sensor import Effect
@@ -136,6 +136,8 @@ def next_steps(diagnosis: Diagnosis, args: argparse.Namespace) -> Iterator[str]:
     if diagnosis.wrong_yaw:  # what is found of camera and wheels may be that
         usual, steps = [item for item in usual if item.effect.acts_on not in BY_YAW], [MEND_YAW, *steps]
     has_a_cause = diagnosis.only_steps or (diagnosis.wrong_yaw and not usual)
+    if diagnosis.knock:
+        steps = [MEND_KNOCK, *steps]
     is_judged = diagnosis.timing is None and not diagnosis.fit.mounting and not has_a_cause
     if is_judged and (
         diagnosis.unexplained is not None or diagnosis.fit.misfits or len(usual) < len(diagnosis.missing)

@@ -41,7 +41,7 @@ from gyrocal_ros.effects.traits import (
     shows_in_any_turns,
     why_unobservable,
 )
-from gyrocal_ros.ekf.history.turn_agreement import camera_yaw_fault
+from gyrocal_ros.ekf.history.turn_agreement import camera_knock, camera_yaw_fault
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, coefficient_names, with_means
 
@@ -116,6 +116,8 @@ class Diagnosis:
     """Effect that would explain much, but not in all stretches alike: something else is missing."""
     wrong_yaw: str = ''
     """Clause on a camera whose yaw in its transform is wrong: neither camera nor wheels can be judged."""
+    knock: str = ''
+    """Clause on a knock of the camera."""
     rival_law: str = ''
     """Clause on a law that explains nearly as much as a noise that was found; empty without."""
     is_open: bool = False
@@ -225,6 +227,7 @@ def _conclude(
         proven_limits=tuple(proven_limits(last.model, recording.readings)),
         uneven='' if uneven is None else uneven.effect.name,
         wrong_yaw=yaw,
+        knock=camera_knock(last.run),
     )
 
 

@@ -29,7 +29,7 @@ from gyrocal_ros.diagnose.search.timing import TimingFault, timing_fault
 from gyrocal_ros.effects.quantities import add_words
 from gyrocal_ros.effects.traits import holds_once
 from gyrocal_ros.ekf.history.run import Run
-from gyrocal_ros.ekf.history.turn_agreement import camera_yaw_fault
+from gyrocal_ros.ekf.history.turn_agreement import camera_knock, camera_yaw_fault
 from gyrocal_ros.ekf.noise.noise_bank import MUCH_WALK, walks_more
 from gyrocal_ros.ekf.watches.told_faults import told_fault
 from gyrocal_ros.model.sensor import Effect
@@ -75,6 +75,7 @@ FIND_NOISE = (
     'Trust the heading only with the ceiling or the heading reference in view; look for what disturbs the '
     'gyro, and turn more slowly if it has a limit.'
 )
+MEND_KNOCK = 'Fasten the camera, measure its yaw again, and record again.'
 MEND_YAW = 'Subtract that from the yaw of the camera in its transform, and record again.'
 MORE_TURNS = 'Record more turns, both ways, with the ceiling or the heading reference in view.'
 
@@ -210,16 +211,17 @@ def diagnosis_status(diagnosis: Diagnosis, steps: NextSteps = COMMANDS) -> Statu
     is_all = diagnosis.verdict == 'cannot_tell' and imitated and diagnosis.fit.fits is not False
     if diagnosis.wrong_yaw and is_all:  # the yaw is why
         status = replace(status, sentence='')
-    return _with_wrong_yaw(status, diagnosis.wrong_yaw)
+    return _with_faults(status, diagnosis.wrong_yaw, diagnosis.knock)
 
 
-def _with_wrong_yaw(status: Status, fault: str) -> Status:
-    """Return a status that tells of a wrong yaw of the camera first; the status itself without."""
-    if not fault:
-        return status
-    told = f'{_sentence(fault)} Neither camera, wheels nor noise can be judged until that is mended.'
-    level: Level = 'yellow' if status.level == 'green' else status.level
-    return Status(level, f'{told} {status.sentence}'.rstrip(), MEND_YAW)
+def _with_faults(status: Status, wrong_yaw: str, knock: str) -> Status:
+    """Return a status that tells first of a wrong yaw of the camera, and of a knock; itself without."""
+    unjudged = ' Neither camera, wheels nor noise can be judged until that is mended.'
+    for fault, then, next_step in ((knock, '', MEND_KNOCK), (wrong_yaw, unjudged, MEND_YAW)):
+        if fault:
+            level: Level = 'yellow' if status.level == 'green' else status.level
+            status = Status(level, f'{_sentence(fault)}{then} {status.sentence}'.rstrip(), next_step)
+    return status
 
 
 def _status_of_effects(diagnosis: Diagnosis, steps: NextSteps) -> Status:
@@ -332,7 +334,8 @@ def missing_sentence(
 
 def improvement_status(improved: Improvement) -> Status:
     """Return what was added to a model, and whether the error fell by more than chance."""
-    return _with_wrong_yaw(_status_of_revisions(improved), camera_yaw_fault(improved.final.examined.run))
+    run = improved.final.examined.run
+    return _with_faults(_status_of_revisions(improved), camera_yaw_fault(run), camera_knock(run))
 
 
 def _status_of_revisions(improved: Improvement) -> Status:

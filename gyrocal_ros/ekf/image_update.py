@@ -158,7 +158,7 @@ def update_from_image(
         changes_px2=changes_px2,
         slip_std=found.slip_std,
         contradicts_turn=found.contradicts_turn,
-        is_freed=found.freed is not None,
+        freed_turn_rad=0.0 if found.freed is None else found.freed.turn_rad,
         rejected=len(good) - told.used,
         noise_distances=(
             noise_dominated(judged.distances, judged.noise_share, matches.unmoved, least)

@@ -147,7 +147,7 @@ class MapWatch:
             what = f'the innovations of the images exceed {pixel_noise.std:.0f} px'
             raise FilterDivergedError(what, todo=CHECK_THE_CAMERA)
         contradicts = update.rejected > 2 * update.used and update.rejected >= 3
-        self._share += ((contradicts or update.is_freed) - self._share) / REMEMBERED_IMAGES
+        self._share += ((contradicts or update.freed_turn_rad != 0.0) - self._share) / REMEMBERED_IMAGES
         if self._share > MAX_SHARE:
             what = (
                 f'the images contradict the estimate again and again (every {1.0 / MAX_SHARE:.0f}th of them)'

@@ -34,6 +34,7 @@ from gyrocal_ros.ekf.features.considered import stretch_by_values
 from gyrocal_ros.ekf.features.frozen_camera import FrozenCamera
 from gyrocal_ros.ekf.features.gating import MotionGate
 from gyrocal_ros.ekf.features.image_model import ImageModel
+from gyrocal_ros.ekf.features.knock_watch import KnockWatch
 from gyrocal_ros.ekf.features.known_depth import TellingWay
 from gyrocal_ros.ekf.features.landmarks import forget, forget_all
 from gyrocal_ros.ekf.features.moving_features import MovingFeatures
@@ -108,7 +109,7 @@ class EkfSlam:
         self._stretch_by_values: Array | None = None
         self._telling_way, self.wheel_noise = TellingWay(), WheelNoise(config.wheels)
         self._rest, self._motion_gate = RestDetector(), MotionGate()
-        self._map_watch, self._slip_watch = MapWatch(), SlipWatch()
+        self._map_watch, self._slip_watch, self._knock_watch = MapWatch(), SlipWatch(), KnockWatch()
         self._moving, self._admission, self._resting_view = MovingFeatures(), Admission(), RestingView()
         self._steady, self._frozen, self._way = SteadyRate(), FrozenCamera(), WayAgreement()
         self._heading = HeadingReference(config.reference, config.gyro, ModelLag.of(model, self.state))
@@ -256,18 +257,17 @@ class EkfSlam:
         if self._frozen.repeats(seen):
             return MeasurementUpdate(), self._frozen.event()
         assert self.rig.camera is not None
-        turned = self._way.event(seen, self.rig.camera, self.rig.camera_mount)
-        is_bent = False
+        turned, is_bent = self._way.event(seen, self.rig.camera, self.rig.camera_mount), False
         try:
-            update = self._update_from_image(seen, is_at_rest=is_at_rest)
+            update, knock = self._knock_watch.see(self._update_from_image(seen, is_at_rest=is_at_rest))
         except IndefiniteCovarianceError:
             if not (self.parametrisation.is_robust and self._map_watch.may_be_bent()):
                 raise
-            update, is_bent = CONTRADICTED, True  # images of something else have bent the map
+            update, knock, is_bent = CONTRADICTED, '', True  # images of something else have bent the map
         event = self._slip_watch.event(update, self.state.t_ns)
         if self._map_watch.is_lost(update, self.track_noise.pixel) or is_bent:
             self.state, event, self._telling_way = forget_all(self.state), MAP_DROPPED, TellingWay()
-        return update, '; '.join(filter(None, (turned, event)))
+        return update, '; '.join(filter(None, (turned, event, knock)))
 
     def _update_from_image(self, observations: FeatureObservations, *, is_at_rest: bool) -> MeasurementUpdate:
         features = self.config.features

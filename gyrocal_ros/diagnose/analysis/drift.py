@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.history.run import GroundTruth, History, Run
+from gyrocal_ros.ekf.history.turn_agreement import knocked_steps
 from gyrocal_ros.ekf.state.layout import YAW, YAW_BIAS
 from gyrocal_ros.model.planar import planar_trajectory
 from gyrocal_ros.statistics import chi_square_quantile, trigamma
@@ -210,7 +211,7 @@ def blind_drift(
     A span starts with the filter's heading, bias and coefficients of that moment, so nothing was fitted on
     what follows. Then the gyro is alone, except at rest, where the robot knows that it does not turn. Spans
     with missing IMU samples do not count, nor do those at whose end the run's own heading is that of the
-    gyro.
+    gyro, or in which it is off by a knock of the camera.
 
     Args:
         run: a finished run.
@@ -232,9 +233,11 @@ def blind_drift(
     latest = min(time_s[-1], compared.time_s[-1]) - span_s
     start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
-    gap_s = np.cumsum(history.gap_s)
+    gap_s, knocks = np.cumsum(history.gap_s), np.cumsum(knocked_steps(run))
     whole = gap_s[last] == gap_s[first]
-    seen = time_s[last] - last_seen_s(history)[last] <= SEEN_S if name != TRUTH else np.ones_like(whole)
+    seen = np.ones_like(whole)
+    if name != TRUTH:
+        seen = (time_s[last] - last_seen_s(history)[last] <= SEEN_S) & (knocks[last] == knocks[first])
     counts, unseen = whole & seen, int(np.count_nonzero(whole & ~seen))
     start_s, first, last = start_s[counts], first[counts], last[counts]
     known, bias = history.coefficients[first], history.mean[first, YAW_BIAS]

@@ -17,6 +17,7 @@ from gyrocal_ros.diagnose.analysis.drift import turns
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.history.score_statistics import BLOCK_S, ScoreStatistics
+from gyrocal_ros.ekf.history.turn_agreement import knocked_steps
 from gyrocal_ros.ekf.noise.process_noise import yaw_noise_of
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.kernels import compiled
@@ -70,7 +71,8 @@ def headings(run: Run, settings: DiagnosisSettings = DEFAULT_SETTINGS) -> Headin
         dt_s=history.dt_s,
         gyro_valid_s=history.gyro_valid_s,
         unobserved_turn_std_rad=history.unobserved_turn_std_rad
-        + math.radians(gyro.gap_rate_std_deg_s) * history.gap_s,
+        + math.radians(gyro.gap_rate_std_deg_s) * history.gap_s
+        + math.pi * knocked_steps(run),
         turn_rad=turns(run, run.state.coefficients),
         seen_rad=np.where(is_sure, expected + history.heading_innovation_rad, np.nan),
         std_rad=history.heading_innovation_std_rad,

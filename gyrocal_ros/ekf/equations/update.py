@@ -143,8 +143,9 @@ class MeasurementUpdate:
     slip_std: Array | None = None
     """(6,) errors of the pose where the image contradicts only the way by the wheels, see `robust`."""
     contradicts_turn: bool = False
-    is_freed: bool = False
-    """True if it contradicts the turn by the gyro, and if no gyro errs so much, see `robust.Freed`."""
+    freed_turn_rad: float = 0.0
+    """Correction of the heading where it contradicts the turn by the gyro, and no gyro errs so much, see
+    `robust.Freed`; zero elsewhere."""
     event: str = ''
     """Event to report to the user."""
 

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
+from gyrocal_ros.ekf.features.knock_watch import knock
 from gyrocal_ros.ekf.features.way_agreement import turned_camera, wrong_yaw
 from gyrocal_ros.ekf.history.convergence import is_plausible
 from gyrocal_ros.ekf.history.run import History, Run, step_by_step
@@ -134,6 +137,17 @@ def mounting_fault(run: Run) -> str:
 def camera_yaw_fault(run: Run) -> str:
     """Return what is wrong with the yaw of the camera in its transform; empty where nothing is."""
     return next(filter(None, (wrong_yaw(event.text) for event in run.events)), '')
+
+
+def camera_knock(run: Run) -> str:
+    """Return what an event of a run says of a knock of the camera, as a clause; empty for none."""
+    return next(filter(None, (knock(event.text) for event in run.events)), '')
+
+
+def knocked_steps(run: Run) -> np.ndarray:
+    """Return True (s,) for the steps of a run at which the camera was knocked."""
+    found: np.ndarray = np.isin(run.history.t_ns, [item.t_ns for item in run.events if knock(item.text)])
+    return found
 
 
 def _scale_in_turns(history: History) -> float:

@@ -1,0 +1,44 @@
+"""A camera that is knocked while the robot drives: told once, and no evidence against the gyro."""
+
+from __future__ import annotations
+
+import math
+
+from gyrocal_ros.data import changed
+from gyrocal_ros.ekf.equations.update import MeasurementUpdate, UpdateStats
+
+SOUND_IMAGES = 100
+"""Number of images that agree before one of a knock."""
+KNOCKED = 'the camera was knocked'
+"""First words of the event of a run."""
+MOST_KNOCKS = 2
+"""Number of knocks that are told: what turns the camera again and again is no knock."""
+
+
+class KnockWatch:
+    """Tells of a camera that is knocked: among images that agree, one that has turned as no gyro misses.
+
+    The heading is off by as much from then on. The image says nothing of the gyro and counts as not measured.
+    """
+
+    def __init__(self) -> None:
+        self._sound_images = self._knocks = 0
+
+    def see(self, update: MeasurementUpdate) -> tuple[MeasurementUpdate, str]:
+        """Return what an image tells, and an event; empty for none."""
+        turn_deg = math.degrees(update.freed_turn_rad)
+        sound_images, self._sound_images = self._sound_images, 0 if turn_deg else self._sound_images + 1
+        if not turn_deg or sound_images < SOUND_IMAGES or self._knocks == MOST_KNOCKS:
+            return update, ''
+        self._knocks += 1
+        event = (
+            f'{KNOCKED}, or the gyro lost a turn: the images turned by {turn_deg:+.1f} deg at once; '
+            'fasten it, measure its yaw again, and record again'
+        )
+        return changed(update, stats=UpdateStats()), event
+
+
+def knock(event: str) -> str:
+    """Return what the text of an event, which may tell others as well, says of a knock; empty for nothing."""
+    _, is_told, rest = event.partition(KNOCKED)
+    return f'{KNOCKED}{rest.partition(";")[0]}' if is_told else ''

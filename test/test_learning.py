@@ -34,6 +34,7 @@ from gyrocal_ros.diagnose.laws.hypotheses import (
     Law,
     RankedLaw,
     carried_by,
+    is_ramp,
     law_names,
     laws,
     rank_laws,
@@ -160,6 +161,36 @@ class TestRanking:
         assert [law.effect.name for law in some] == ['bias_curve:rate', 'bias_map:place']
         steps = laws(run, ranges, ['bias_step:time'])
         assert len(steps) > 1 and len(carried_by(steps)) == 1
+
+    def test_what_a_run_does_not_tell_drives_no_memory(self) -> None:
+        """A signal that rises steadily, and events that do not happen, or of which another value has more."""
+        run = calibrate(recording(seconds=40.0), Config(), default_model())
+        time_s = run.history.time_s
+        pump = np.where((time_s > 10.0) & (time_s < 20.0) | (time_s > 30.0), 2.0, 1.0)
+        signals = np.column_stack([0.01 * time_s, pump])
+        history = replace(run.history, signals=signals)
+        run = replace(run, history=history, signal_names=('charge', 'pump'))
+        ranges = {'charge': (0.0, 0.4), 'pump': (1.0, 2.0)}
+        names = {law.effect.name for law in laws(run, ranges)}
+        drives = {name.partition(':')[2] for name in names if name.startswith('scale_memory:')}
+        assert drives == {'start', 'abs_rate', 'pump', 'above_1.5:pump'}
+
+    @pytest.mark.parametrize(
+        ('values', 'is_one'),
+        [
+            (lambda time_s: 3.0 - 0.1 * time_s, True),
+            (lambda time_s: np.round(0.02 * time_s, 1), True),
+            (lambda time_s: np.exp(-time_s / 40.0), False),
+            (lambda time_s: np.sin(time_s), False),
+            (lambda time_s: np.full(len(time_s), np.nan), False),
+            (lambda time_s: np.ones(len(time_s)), False),
+        ],
+    )
+    def test_a_straight_line_over_time_is_a_ramp(
+        self, values: Callable[[Array], Array], is_one: bool
+    ) -> None:
+        time_s = np.arange(0.0, 60.0, 0.5)
+        assert is_ramp(time_s, values(time_s)) == is_one
 
 
 def test_the_range_of_the_centripetal_acceleration_is_that_of_the_curves_driven() -> None:
@@ -699,34 +730,39 @@ def test_of_laws_that_predict_as_well_the_simplest_is_learned(
     tried: list[tuple[bool, float, int]], taken: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = ('is_kept', 'predictive_gain', 'size')
-    additions = [SimpleNamespace(**dict(zip(names, item, strict=True))) for item in tried]
+    additions = [SimpleNamespace(effect=None, **dict(zip(names, item, strict=True))) for item in tried]
     monkeypatch.setattr(learning, '_size', lambda item: item.size)
     assert learning._simplest(additions) is additions[taken]  # type: ignore[arg-type, comparison-overlap]
     assert learning._simplest([]) is None
 
 
 @pytest.mark.parametrize(
-    ('alone', 'found', 'gain', 'is_better'),
+    ('alone', 'found', 'gained', 'gain', 'is_better'),
     [
-        ((1, 2), (2, 2), -10.0, True),
-        ((1, 2), (2, 2), -50.0, False),
-        ((1, 2), (1, 4), -10.0, True),
-        ((1, 4), (1, 2), 10.0, False),
-        ((1, 4), (1, 2), 500.0, True),
+        ((1, 2, 1), (2, 2, 1), 1000.0, -10.0, True),
+        ((1, 2, 1), (2, 2, 1), 1000.0, -50.0, False),
+        ((1, 2, 1), (1, 4, 1), 1000.0, -10.0, True),
+        ((1, 2, 0), (1, 2, 1), 9000.0, -50.0, True),
+        ((1, 2, 0), (1, 2, 1), 9000.0, -100.0, False),
+        ((1, 4, 1), (1, 2, 1), 9000.0, 10.0, False),
+        ((1, 4, 1), (1, 2, 1), 1000.0, 500.0, True),
     ],
 )
 def test_laws_alone_replace_what_was_found_where_they_are_simpler_or_predict_better(
-    alone: tuple[int, int],
-    found: tuple[int, int],
+    alone: tuple[int, int, int],
+    found: tuple[int, int, int],
+    gained: float,
     gain: float,
     is_better: bool,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
+    first = SimpleNamespace(run='first')
     searches = [
-        SimpleNamespace(kept=[1], last=SimpleNamespace(run=None), is_as=item) for item in (alone, found)
+        SimpleNamespace(kept=[1], first=first, last=SimpleNamespace(run=''), is_as=item)
+        for item in (alone, found)
     ]
     monkeypatch.setattr(learning, '_complexity', lambda item: item.is_as)
-    monkeypatch.setattr(learning, 'predictive_gain', lambda *runs: np.array([gain]))
+    monkeypatch.setattr(learning, 'predictive_gain', lambda before, _: np.array([gained if before else gain]))
     monkeypatch.setattr(learning, '_helps', lambda *runs: gain > learning.MIN_GAIN)
     assert learning._is_better(*searches) == is_better  # type: ignore[arg-type]
 

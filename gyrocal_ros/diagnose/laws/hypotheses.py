@@ -26,7 +26,7 @@ from gyrocal_ros.effects.learned import curve, memory, place_map, step, wave
 from gyrocal_ros.effects.learned.curve import LENGTHS as CURVE_LENGTHS
 from gyrocal_ros.effects.learned.curve import TYPICAL, Of
 from gyrocal_ros.effects.learned.curve import prior_stds as curve_stds
-from gyrocal_ros.effects.learned.events import MIN_EVENTS, count_events, event_of, events_in
+from gyrocal_ros.effects.learned.events import MIN_EVENTS, count_events, events_in
 from gyrocal_ros.effects.learned.memory import OF_SCALE, TAUS_S
 from gyrocal_ros.effects.learned.place_map import LENGTHS as MAP_LENGTHS
 from gyrocal_ros.effects.learned.place_map import prior_stds as map_stds
@@ -47,6 +47,8 @@ MAX_STEPS = 20
 KINDS: tuple[Of, ...] = ('bias', 'scale')
 SLOWEST_S = 150.0
 """Longest period of a wave; a drift or a settling looks like part of a longer one."""
+MIN_RAMP, RAMP_PART = 10, 0.03
+"""Values from which a signal may be a ramp, and largest deviation (std) of one, as a part of its range."""
 MARGIN_M = 0.2
 """Margin of a map around the path."""
 
@@ -107,34 +109,43 @@ def laws(run: Run, ranges: Mapping[str, tuple[float, float]], only: Sequence[str
         ranges: range of each signal.
         only: names out of `law_names`; empty for all.
     """
-    present, events = {effect.name for effect in run.model.effects}, _events(run, ranges)
+    present = {effect.name for effect in run.model.effects}
     found = [*_curves(ranges), *_memories(ranges), *_map(run), *_steps(run), *_waves(run)]
-    return [
-        law
-        for law in found
-        if law.effect.name not in present
-        and (not only or law.effect.name in only)
-        and (event_of(follows := law.effect.name.partition(':')[2]) is None or follows in events)
-    ]
+    excluded = present | {f'{of}_memory:{drive}' for of in KINDS for drive in _untold_drives(run, ranges)}
+    return [law for law in found if law.effect.name not in excluded and (not only or law.effect.name in only)]
 
 
-def _events(run: Run, ranges: Mapping[str, tuple[float, float]]) -> set[str]:
-    """Return the drives of the events in a recording: of each signal its most frequent rise and fall."""
-    found, history = set(), run.history
-    recorded = dict(zip(run.signal_names, history.signals.T, strict=True)) | {
-        TEMPERATURE: history.temperature_c
-    }
+def _untold_drives(run: Run, ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+    """Yield the recorded signals, and the events of them, that a run does not tell to drive a memory.
+
+    The memory of a signal that rises steadily is one of the start. Of the events of a signal, the most
+    frequent rise and fall count.
+    """
+    history = run.history
+    recorded = dict(zip(run.signal_names, history.signals.T, strict=True))
+    recorded[TEMPERATURE] = history.temperature_c
     for name in ranges.keys() & recorded.keys():
-        values = recorded[name]
-        events = events_in(name, *ranges[name])
+        if is_ramp(history.time_s, recorded[name]):
+            yield name
         for rises in (True, False):
-            counts = {
-                event: count_events(event, values, history.dt_s) for event in events if event.rises == rises
-            }
-            most = max(counts, key=counts.__getitem__)
-            if counts[most] >= MIN_EVENTS:
-                found.add(most.drive)
-    return found
+            events = [event for event in events_in(name, *ranges[name]) if event.rises == rises]
+            counts = [count_events(event, recorded[name], history.dt_s) for event in events]
+            most = counts.index(max(counts))
+            yield from (
+                event.drive
+                for place, event in enumerate(events)
+                if place != most or counts[most] < MIN_EVENTS
+            )
+
+
+def is_ramp(time_s: Array, values: Array) -> bool:
+    """Return True if a signal (n,), NaN where it is not recorded, is a straight line over time."""
+    known = np.isfinite(values)
+    if np.count_nonzero(known) < MIN_RAMP or np.ptp(values[known]) == 0.0:
+        return False
+    line = np.polynomial.Polynomial.fit(time_s[known], values[known], 1)
+    left = float(np.std(values[known] - line(time_s[known])))
+    return left < RAMP_PART * float(np.ptp(values[known]))
 
 
 def fine_steps(of: Of, at_s: float, half_s: float) -> list[Law]:

@@ -36,6 +36,7 @@ from gyrocal_ros.diagnose.search.additions import CHANCE_SIGMA, CLEAR_SIGMA, Add
 from gyrocal_ros.diagnose.search.elimination import eliminate, without_harm
 from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.effects.learned.step import Step
+from gyrocal_ros.effects.traits import required_signals
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
@@ -46,6 +47,9 @@ MAX_LEARNED = 2
 MIN_GAIN = 25.0
 """Marginal and predictive log-likelihood that a law has to gain: of a hundred laws with a dozen priors each,
 the best gains half of that by chance."""
+ALIKE_PART = 0.01
+"""Part of all that is gained by which a simpler model may predict worse: with other priors, the same law does
+so."""
 PROOF = 100.0
 """Predictive log-likelihood beyond which a block of time proves no more."""
 MIN_SIGMA = 2.0
@@ -150,13 +154,21 @@ def _is_better(alone: Search, found: Search) -> bool:
     if not alone.kept:
         return False
     if _complexity(alone) < _complexity(found):
-        return float(predictive_gain(found.last.run, alone.last.run).sum()) > -MIN_GAIN
+        gained = float(predictive_gain(found.first.run, found.last.run).sum())
+        return float(predictive_gain(found.last.run, alone.last.run).sum()) > -max(
+            MIN_GAIN, ALIKE_PART * gained
+        )
     return _helps(found.last.run, alone.last.run)
 
 
-def _complexity(found: Search) -> tuple[int, int]:
-    """Return the number of effects that were found, and that of parameters of the learned laws among them."""
-    return len(found.kept), sum(size_of(law, found.last) for law in learned_laws(found.last))
+def _complexity(found: Search) -> tuple[int, int, int]:
+    """Return the number of effects that were found, that of parameters of the learned laws, and of signals.
+
+    What is recorded may go with the time since the start, or with the motion, by chance.
+    """
+    learned = list(learned_laws(found.last))
+    signals = sum(bool(required_signals(law.effect)) for law in learned)
+    return len(found.kept), sum(size_of(law, found.last) for law in learned), signals
 
 
 def _helps(before: Run, after: Run) -> bool:
@@ -233,14 +245,16 @@ def _best(tried: Sequence[Addition]) -> Addition | None:
 
 
 def _simplest(tried: Sequence[Addition]) -> Addition | None:
-    """Return the best addition, or another with fewer parameters that predicts as well but for chance."""
+    """Return the best addition, or one with fewer parameters or signals that predicts nearly as well."""
     best = _best(tried)
     if best is None or not best.is_kept:
         return best
     alike = [
         item for item in tried if item.is_kept and item.predictive_gain > best.predictive_gain - MIN_GAIN
     ]
-    return min(alike, key=lambda item: (_size(item), -item.predictive_gain))
+    return min(
+        alike, key=lambda item: (_size(item), len(required_signals(item.effect)), -item.predictive_gain)
+    )
 
 
 def _size(found: Addition) -> int:

@@ -170,6 +170,12 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
             'unit_kelvin',
             Severity.WARNING,
         ),
+        (
+            TemperatureSample,
+            lambda s: replace(s, temperature_c=1.8 * s.temperature_c + 32.0),
+            'unit_fahrenheit',
+            Severity.WARNING,
+        ),
     ],
 )
 def test_implausible_numbers(

@@ -47,6 +47,8 @@ TURNED_RAD = math.pi / 2.0
 """Total turn of the gyro from which a robot has driven."""
 KELVIN_C = 200.0, 500.0
 """Readings of a thermometer between which they are in kelvin."""
+FAHRENHEIT_C = 62.0, 140.0
+"""The same in degrees Fahrenheit: 17 to 60 deg C."""
 MIN_FEATURES = 4.0
 """Minimum of the mean number of features per image."""
 MIN_IMAGES = 20
@@ -84,11 +86,19 @@ def assess(bag: BagScan, *, reorder_window_s: float) -> Iterator[BagIssue]:
         yield from _wheel_issues(wheels, imus, bag, is_stamped=wheels in stamped)
     if features:
         yield from _feature_issues(features, imus, bag, is_stamped=features in stamped)
-    lowest_c, highest_c = bag.temperatures_c
-    if temperature and KELVIN_C[0] < lowest_c <= highest_c < KELVIN_C[1]:
-        text = f'reads {lowest_c:.0f} to {highest_c:.0f}: kelvin, not degrees Celsius'
-        todo = 'the driver must publish degrees Celsius'
-        yield BagIssue(WARNING, 'unit_kelvin', temperature.topic.name, text, todo)
+    if temperature:
+        yield from _temperature_issues(temperature, *bag.temperatures_c)
+
+
+def _temperature_issues(temperature: TopicScan, lowest_c: float, highest_c: float) -> Iterator[BagIssue]:
+    """Yield the issues of the unit of a thermometer."""
+    name, text = temperature.topic.name, f'reads {lowest_c:.0f} to {highest_c:.0f}: '
+    todo = 'the driver must publish degrees Celsius'
+    if KELVIN_C[0] < lowest_c <= highest_c < KELVIN_C[1]:
+        yield BagIssue(WARNING, 'unit_kelvin', name, f'{text}kelvin, not degrees Celsius', todo)
+    elif FAHRENHEIT_C[0] < lowest_c <= highest_c < FAHRENHEIT_C[1]:
+        text += 'degrees Fahrenheit? No gyro indoors is that hot in degrees Celsius'
+        yield BagIssue(WARNING, 'unit_fahrenheit', name, text, todo)
 
 
 def _wheel_issues(

@@ -42,7 +42,7 @@ def test_the_name_of_a_drive_tells_the_event(event: Event) -> None:
     assert '+' not in event.drive, 'a name that a shell or a file system takes for something else'
 
 
-@pytest.mark.parametrize('drive', ['rate', PUMP, 'above_:x', 'above_1', 'over_1:x'])
+@pytest.mark.parametrize('drive', ['rate', PUMP, 'above_:x', 'above_1', 'over_1:x', 'above_1.2.3:x'])
 def test_other_drives_are_no_events(drive: str) -> None:
     assert event_of(drive) is None
 

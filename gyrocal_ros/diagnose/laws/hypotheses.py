@@ -111,15 +111,15 @@ def laws(run: Run, ranges: Mapping[str, tuple[float, float]], only: Sequence[str
     """
     present = {effect.name for effect in run.model.effects}
     found = [*_curves(ranges), *_memories(ranges), *_map(run), *_steps(run), *_waves(run)]
-    excluded = present | {f'{of}_memory:{drive}' for of in KINDS for drive in _untold_drives(run, ranges)}
+    excluded = present | {f'{of}_memory:{drive}' for of in KINDS for drive in _excluded_drives(run, ranges)}
     return [law for law in found if law.effect.name not in excluded and (not only or law.effect.name in only)]
 
 
-def _untold_drives(run: Run, ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:
-    """Yield the recorded signals, and the events of them, that a run does not tell to drive a memory.
+def _excluded_drives(run: Run, ranges: Mapping[str, tuple[float, float]]) -> Iterator[str]:
+    """Yield recorded signals, and events of them, that are not tried as the drive of a memory.
 
-    The memory of a signal that rises steadily is one of the start. Of the events of a signal, the most
-    frequent rise and fall count.
+    These are signals that rise steadily, whose memory is one of the start, and of the events of a signal all
+    but its most frequent rise and fall.
     """
     history = run.history
     recorded = dict(zip(run.signal_names, history.signals.T, strict=True))

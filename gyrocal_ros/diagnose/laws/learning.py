@@ -155,9 +155,8 @@ def _is_better(alone: Search, found: Search) -> bool:
         return False
     if _complexity(alone) < _complexity(found):
         gained = float(predictive_gain(found.first.run, found.last.run).sum())
-        return float(predictive_gain(found.last.run, alone.last.run).sum()) > -max(
-            MIN_GAIN, ALIKE_PART * gained
-        )
+        most_lost = max(MIN_GAIN, ALIKE_PART * gained)
+        return float(predictive_gain(found.last.run, alone.last.run).sum()) > -most_lost
     return _helps(found.last.run, alone.last.run)
 
 

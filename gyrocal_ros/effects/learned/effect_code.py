@@ -50,7 +50,7 @@ AT_A_PLACE = '''    def columns(self, block: MotionBlock) -> Array:
 REMEMBERED = '''    def remembered(self, block: MotionBlock, memory: Memory) -> tuple[Array, Memory]:
         """Return the terms of the form (N, {count}), and what the next block has to know."""
 '''
-FADING = """        # {what}, and the time since its end in s.
+FADING = """        # {what} in s.
         {factor}, x, memory = {call}
         p = P
         terms = (
@@ -155,25 +155,23 @@ def _remembered(effect: Formula, terms: Sequence[str]) -> Code:
         body = RESPONSES[form.name].format(follows=follows, rate=_rate(effect.learned.of))
         helpers = 'driven, lag' if 'lag(' in body else 'driven'
         x_is = f'x is the time after a unit step of {follows}'
-    method, module = (
-        REMEMBERED.format(count=len(terms)) + body,
-        'drives' if event_of(follows) is None else 'events',
-    )
-    imports = MEMORY_IMPORTS.format(module=module, helpers=helpers)
+    method = REMEMBERED.format(count=len(terms)) + body
+    imports = MEMORY_IMPORTS.format(module='events' if event_of(follows) else 'drives', helpers=helpers)
     constants = _constant(method, effect.constants)
     return Code(imports, 'LinearMemoryEffect', method, x_is, tuple(terms), constants)
 
 
 def _fading(of: Of, follows: str, terms: Sequence[str]) -> tuple[str, str, str]:
     """Return the helper, the code and the meaning of x of what fades after a turn, a rest or an event."""
-    helper, factor, what, since = 'since_turn', 'side', 'The side of the last turn', 'the last turn'
-    event = event_of(follows)
-    if event is not None:
-        helper, factor, what, since = 'since_event', 'size', '1 after the first event, else 0', event.in_words
+    helper, factor, since, named = 'since_turn', 'side', 'the last turn', ''
+    what = 'The side of the last turn, and the time since its end'
+    if (event := event_of(follows)) is not None:
+        helper, factor, since, named = 'since_event', 'happened', event.in_words, f'{follows!r}, '
+        what = '1 after the first event, else 0, and the time since the last one'
     elif follows == LAST_REST:
         helper, factor, since = 'since_rest', 'drives', 'the last rest'
-        what = '1 where the robot drives after a rest, else 0'
-    call = f'{helper}(block, memory)' if event is None else f'since_event({follows!r}, block, memory)'
+        what = '1 where the robot drives after a rest, else 0, and the time since its end'
+    call = f'{helper}({named}block, memory)'
     signed = _rate(of) + ('abs(side)' if follows == ANY_TURN else factor)
     body = FADING.format(terms=_listed(terms), what=what, factor=factor, call=call, signed=signed)
     return helper, body, f'x is the time since {since}'

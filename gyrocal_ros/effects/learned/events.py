@@ -21,7 +21,7 @@ MIN_EVENTS = 2
 """Number of events from which something may follow them: after a single one, anything may have changed."""
 PARTS = (0.5, 0.25, 0.75)
 """Values that are tried, as parts of the range of a signal, the likeliest first."""
-_NAME = re.compile(r'(above|below)_(-?[0-9.]+(?:e[+-]?[0-9]+)?):(.+)')
+_NAME = re.compile(r'(above|below)_(-?[0-9]+(?:\.[0-9]+)?(?:e[+-]?[0-9]+)?):(.+)')
 
 
 @dataclass(frozen=True, slots=True)

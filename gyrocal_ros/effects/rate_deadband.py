@@ -36,9 +36,9 @@ MAX_VARIANCE_RATIO = 3.0
 """Largest variance of the means over a second, relative to what their noise explains, of dead readings."""
 NEAR_SAMPLES = 7
 """Number of readings whose mean decides whether the rate is inside the band: one alone is mostly noise."""
-INSIDE_STD = 0.15
-"""Standard deviation of the rate inside the band, as a part of its width. It is a quarter of that of a
-uniform distribution, for a robot stands or drives straight far more often than it turns so slowly."""
+INSIDE_STD = 0.5
+"""Standard deviation of the rate inside the band, as a part of its width: nearly that of a uniform
+distribution. A robot drives straight far more often than it turns so slowly, but it wanders for seconds."""
 MAX_MEAN_SIGMA, MAX_MEAN_PART = 5.0, 0.02
 """Largest mean of dead readings: in its standard deviations, and besides as a part of the width. Else the
 readings hold a bias, which a dead band does not let through."""

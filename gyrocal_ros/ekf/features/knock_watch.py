@@ -7,8 +7,9 @@ import math
 from gyrocal_ros.data import changed
 from gyrocal_ros.ekf.equations.update import MeasurementUpdate, UpdateStats
 
-SOUND_IMAGES = 100
-"""Number of images that agree before one of a knock."""
+SOUND_IMAGES, SOUND_NIS = 100, 5.0
+"""Number of images that agree before one of a knock, and their largest NIS per degree of freedom: where the
+model lacks an effect, images contradict the turns before they contradict one by as much as a knock."""
 KNOCKED = 'the camera was knocked'
 """First words of the event of a run."""
 MOST_KNOCKS = 2
@@ -27,7 +28,8 @@ class KnockWatch:
     def see(self, update: MeasurementUpdate) -> tuple[MeasurementUpdate, str]:
         """Return what an image tells, and an event; empty for none."""
         turn_deg = math.degrees(update.freed_turn_rad)
-        sound_images, self._sound_images = self._sound_images, 0 if turn_deg else self._sound_images + 1
+        is_sound = not turn_deg and update.stats.nis <= SOUND_NIS * update.stats.dof
+        sound_images, self._sound_images = self._sound_images, self._sound_images + 1 if is_sound else 0
         if not turn_deg or sound_images < SOUND_IMAGES or self._knocks == MOST_KNOCKS:
             return update, ''
         self._knocks += 1

@@ -111,8 +111,8 @@ SOUND = turned(0.0, nis=25.0)
 def test_a_turn_among_images_that_do_not_agree_is_no_knock() -> None:
     watch = KnockWatch()
     for place in range(2 * SOUND_IMAGES):
-        watch.see(turned(0.0) if place == SOUND_IMAGES + 1 else SOUND)
-    update, event = watch.see(turned(0.03))
+        watch.see(turned(0.0) if place == SOUND_IMAGES + 1 else SOUND, 0.0)
+    update, event = watch.see(turned(0.03), 0.0)
     assert not event and update.stats.nis == 1e4
 
 
@@ -125,12 +125,19 @@ def test_a_law_of_the_gyro_is_no_knock() -> None:
     assert not knocked_steps(run).any()
 
 
+def test_a_turn_against_one_of_the_gyro_is_no_knock() -> None:
+    watch = KnockWatch()
+    for _ in range(SOUND_IMAGES):
+        watch.see(SOUND, 0.0)
+    assert not watch.see(turned(0.08), -0.5)[1]
+
+
 def test_what_turns_the_camera_again_and_again_is_no_knock() -> None:
     watch, events = KnockWatch(), []
     for _ in range(MOST_KNOCKS + 2):
         for _ in range(SOUND_IMAGES):
-            watch.see(SOUND)
-        update, event = watch.see(turned(-0.03))
+            watch.see(SOUND, 0.0)
+        update, event = watch.see(turned(-0.03), 0.0)
         events.append(event)
         assert (update.stats.dof == 0) == bool(event)
     assert [bool(event) for event in events] == [True] * MOST_KNOCKS + [False] * 2

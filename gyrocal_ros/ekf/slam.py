@@ -257,15 +257,15 @@ class EkfSlam:
         if self._frozen.repeats(seen):
             return MeasurementUpdate(), self._frozen.event()
         assert self.rig.camera is not None
-        turned, is_bent = self._way.event(seen, self.rig.camera, self.rig.camera_mount), False
+        turned, rate = self._way.event(seen, self.rig.camera, self.rig.camera_mount), self._motion.rate[YAW]
         try:
-            update, knock = self._knock_watch.see(self._update_from_image(seen, is_at_rest=is_at_rest))
+            update, knock = self._knock_watch.see(self._update_from_image(seen, is_at_rest=is_at_rest), rate)
         except IndefiniteCovarianceError:
             if not (self.parametrisation.is_robust and self._map_watch.may_be_bent()):
                 raise
-            update, knock, is_bent = CONTRADICTED, '', True  # images of something else have bent the map
+            update, knock = CONTRADICTED, ''  # images of something else have bent the map
         event = self._slip_watch.event(update, self.state.t_ns)
-        if self._map_watch.is_lost(update, self.track_noise.pixel) or is_bent:
+        if self._map_watch.is_lost(update, self.track_noise.pixel) or update is CONTRADICTED:
             self.state, event, self._telling_way = forget_all(self.state), MAP_DROPPED, TellingWay()
         return update, '; '.join(filter(None, (turned, event, knock)))
 

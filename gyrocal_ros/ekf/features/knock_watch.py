@@ -12,6 +12,8 @@ SOUND_IMAGES, SOUND_NIS = 100, 5.0
 model lacks an effect, images contradict the turns before they contradict one by as much as a knock."""
 KNOCKED = 'the camera was knocked'
 """First words of the event of a run."""
+TURNING_RAD_S = math.radians(10.0)
+"""Yaw rate from which no knock is told: late images contradict the gyro where a turn begins."""
 MOST_KNOCKS = 2
 """Number of knocks that are told: what turns the camera again and again is no knock."""
 
@@ -25,12 +27,13 @@ class KnockWatch:
     def __init__(self) -> None:
         self._sound_images = self._knocks = 0
 
-    def see(self, update: MeasurementUpdate) -> tuple[MeasurementUpdate, str]:
-        """Return what an image tells, and an event; empty for none."""
+    def see(self, update: MeasurementUpdate, rate_rad_s: float) -> tuple[MeasurementUpdate, str]:
+        """Return what an image tells, given the yaw rate by the gyro, and an event; empty for none."""
         turn_deg = math.degrees(update.freed_turn_rad)
         is_sound = not turn_deg and update.stats.nis <= SOUND_NIS * update.stats.dof
         sound_images, self._sound_images = self._sound_images, self._sound_images + 1 if is_sound else 0
-        if not turn_deg or sound_images < SOUND_IMAGES or self._knocks == MOST_KNOCKS:
+        is_told = sound_images >= SOUND_IMAGES and abs(rate_rad_s) < TURNING_RAD_S
+        if not turn_deg or not is_told or self._knocks == MOST_KNOCKS:
             return update, ''
         self._knocks += 1
         event = (

@@ -1,4 +1,4 @@
-"""A camera that is knocked while the robot drives: the calibration of the gyro survives, and it is told."""
+"""A camera that is knocked while the robot drives: the calibration survives, and the knock is reported."""
 
 from __future__ import annotations
 
@@ -23,7 +23,6 @@ from gyrocal_ros.ekf.equations.update import MeasurementUpdate, UpdateStats
 from gyrocal_ros.ekf.features.knock_watch import KNOCKED, MOST_KNOCKS, SOUND_IMAGES, KnockWatch
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.history.turn_agreement import knocked_steps
-from gyrocal_ros.ekf.state.layout import YAW
 from gyrocal_ros.model.camera import bearing, project
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import conclude
@@ -69,7 +68,7 @@ def test_the_gyro_stays_calibrated(run: Run) -> None:
     assert nis_per_dof(run.history.nis, run.history.dof) == pytest.approx(1.0, abs=0.2)
 
 
-def test_the_knock_is_told_with_its_size(run: Run) -> None:
+def test_the_knock_is_reported_with_its_size(run: Run) -> None:
     (event,) = [event for event in run.events if KNOCKED in event.text]
     assert (event.t_ns - run.span.start_ns) / NS_PER_S == pytest.approx(AT_S, abs=0.2)
     assert f'{TURN_DEG:+.1f} deg' in event.text
@@ -84,7 +83,6 @@ def test_the_heading_is_off_by_it_and_no_span_holds_it(run: Run) -> None:
     assert math.degrees(jumped) == pytest.approx(TURN_DEG, abs=0.4)
     spans = blind_drift(run, from_s=0.0, span_s=20.0)
     assert len(spans.start_s) and not np.any((spans.start_s < AT_S) & (spans.start_s + 20.0 > AT_S + 0.2))
-    assert np.isfinite(run.history.mean[:, YAW]).all()
 
 
 def test_nothing_is_accused_of_it() -> None:

@@ -23,7 +23,7 @@ from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.effects.learned.curve import Curve
 from gyrocal_ros.effects.learned.drives import DYNAMICS, START
 from gyrocal_ros.effects.learned.events import event_of
-from gyrocal_ros.effects.learned.memory import ExponentialBank, drive_in_words
+from gyrocal_ros.effects.learned.memory import ExponentialBank, drive_as_noun
 from gyrocal_ros.effects.learned.place_map import PlaceMap
 from gyrocal_ros.effects.learned.signals import CENTRIPETAL, GROWING_LAG, HEADING, RATE
 from gyrocal_ros.effects.learned.step import Step
@@ -179,7 +179,7 @@ def structure_of(law: Addition) -> UnexplainedStructure:
     effect = law.effect
     kind, _, follows = effect.name.partition(':')
     of = kind.partition('_')[0]
-    signal = PLACE if isinstance(effect, PlaceMap) else SIGNALS.get(follows, drive_in_words(follows))
+    signal = PLACE if isinstance(effect, PlaceMap) else SIGNALS.get(follows, drive_as_noun(follows))
     at_s, shape = None, ErrorShape(signal, of == 'scale', *np.empty((3, 0)))
     what = f'the {of} goes with {signal}'
     values = law.after.estimate_of(effect.name)[0]

@@ -15,7 +15,7 @@ from gyrocal_ros.model.sensor import Memory
 
 LASTING_S = 1.0
 """Time for which a signal is on the other side before an event, so that noise about the value is none."""
-OTHERWISE_S = 5.0
+MIN_SIDE_S = 5.0
 """Least time in all on either side of the value of a signal that has events."""
 MIN_EVENTS = 2
 """Number of events from which something may follow them: after a single one, anything may have changed."""
@@ -93,7 +93,7 @@ def count_events(event: Event, values: Array, dt_s: Array) -> int:
     """
     known = np.isfinite(values)
     on, ends_s = event.is_on(values[known]), np.cumsum(dt_s[known])
-    if min(dt_s[known][on].sum(), dt_s[known][~on].sum()) < OTHERWISE_S:
+    if min(dt_s[known][on].sum(), dt_s[known][~on].sum()) < MIN_SIDE_S:
         return 0
     begins = np.flatnonzero(np.diff(on.astype(int)) == 1) + 1
     off_since_s = np.maximum.accumulate(np.where(on, ends_s, 0.0))[begins - 1]

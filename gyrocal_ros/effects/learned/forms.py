@@ -13,7 +13,7 @@ from gyrocal_ros.effects.learned.signals import RATE
 
 Over: TypeAlias = Literal['signal', 'heading', 'response', 'fading', 'dynamics']
 """What a learned function is a function of: a signal; the heading; the time since its drive stepped up; the
-time since a turn or the start; the time since a turn sets in, see `start_of_turn`."""
+time since a turn, a rest, an event or the start; the time since a turn sets in, see `start_of_turn`."""
 Term: TypeAlias = Callable[[Array, float], Array]
 """A function of the signal (n,) and of the scanned parameter p."""
 Values: TypeAlias = Callable[[float, float], Array]

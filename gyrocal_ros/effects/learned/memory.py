@@ -74,7 +74,7 @@ def taus_s(drive: str) -> tuple[float, ...]:
     return TAUS_S.get(drive, OTHER_TAUS_S if event_of(drive) is None else EVENT_TAUS_S)
 
 
-def drive_in_words(drive: str) -> str:
+def drive_as_noun(drive: str) -> str:
     """Return what a memory is driven by, as a noun."""
     event = event_of(drive)
     return DRIVES.get(drive, drive) if event is None else f'{event.in_words}, fading after it'
@@ -101,7 +101,7 @@ class ExponentialBank(LinearMemoryEffect):
             physics='The sensor remembers: its bias or its scale depends on what was, over a bank of time '
             'constants. A lag, a resonance, hysteresis and slow heating have this form.',
             equation=f'w = w_n + sum_j c_j h_j{" w_n" if self.of == "scale" else ""}, '
-            f'dh_j/dt = (u - h_j) / tau_j, u: {drive_in_words(self.follows)}',
+            f'dh_j/dt = (u - h_j) / tau_j, u: {drive_as_noun(self.follows)}',
             usual_size='as found',
             best_motion='single turns with rests between them',
             source='Wahlberg 1991, System identification using Laguerre models, IEEE Transactions on '

@@ -1,4 +1,4 @@
-"""A camera that is knocked while the robot drives: told once, and no evidence against the gyro."""
+"""A camera that is knocked while the robot drives: reported, and no evidence against the gyro."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ model lacks an effect, images contradict the turns before they contradict one by
 KNOCKED = 'the camera was knocked'
 """First words of the event of a run."""
 TURNING_RAD_S = math.radians(10.0)
-"""Yaw rate from which no knock is told: late images contradict the gyro where a turn begins."""
+"""Yaw rate from which no knock is reported: late images contradict the gyro where a turn begins."""
 MOST_KNOCKS = 2
-"""Number of knocks that are told: what turns the camera again and again is no knock."""
+"""Number of knocks that are reported: what turns the camera again and again is no knock."""
 
 
 class KnockWatch:
-    """Tells of a camera that is knocked: among images that agree, one that has turned as no gyro misses.
+    """Reports a camera that is knocked: among images that agree, one that has turned as no gyro misses.
 
     The heading is off by as much from then on. The image says nothing of the gyro and counts as not measured.
     """
@@ -32,8 +32,8 @@ class KnockWatch:
         turn_deg = math.degrees(update.freed_turn_rad)
         is_sound = not turn_deg and update.stats.nis <= SOUND_NIS * update.stats.dof
         sound_images, self._sound_images = self._sound_images, self._sound_images + 1 if is_sound else 0
-        is_told = sound_images >= SOUND_IMAGES and abs(rate_rad_s) < TURNING_RAD_S
-        if not turn_deg or not is_told or self._knocks == MOST_KNOCKS:
+        may_be_one = sound_images >= SOUND_IMAGES and abs(rate_rad_s) < TURNING_RAD_S
+        if not turn_deg or not may_be_one or self._knocks == MOST_KNOCKS:
             return update, ''
         self._knocks += 1
         event = (
@@ -45,5 +45,5 @@ class KnockWatch:
 
 def knock(event: str) -> str:
     """Return what the text of an event, which may tell others as well, says of a knock; empty for nothing."""
-    _, is_told, rest = event.partition(KNOCKED)
-    return f'{KNOCKED}{rest.partition(";")[0]}' if is_told else ''
+    _, found, rest = event.partition(KNOCKED)
+    return f'{KNOCKED}{rest.partition(";")[0]}' if found else ''

@@ -16,11 +16,14 @@ from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.equations.update import UpdateStats
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, SCALE, State
+from gyrocal_ros.ekf.state.normal_equations import normal_equations
 from gyrocal_ros.ekf.state.start import initial_state
+from gyrocal_ros.ekf.watches.camera_watch import TIME, CameraWatch
 from gyrocal_ros.ekf.watches.law_watch import (
     BLOCK_S,
     CHANCE_SIGMA,
     LAWS,
+    PRIOR_STD,
     RATES,
     SETTLE_S,
     SIDES,
@@ -132,3 +135,53 @@ def test_a_law_of_the_rate_is_no_change_of_the_scale_factor(name: str, value: fl
 def test_the_noise_is_not_blamed_for_a_law() -> None:
     run, _ = driven('scale_cubic', -0.0015)
     assert (run.history.bias_walk == 1.0).all()
+
+
+def shown_by(errors: np.ndarray, dof: int = 40_000) -> UpdateStats:
+    """Return updates, in one, by errors of the camera and laws; the cubic law goes with the time offset."""
+    rng = np.random.default_rng(4)
+    by_errors = rng.normal(size=(400, len(errors)))
+    by_errors[:, CameraWatch.count + CUBIC] += 3.0 * by_errors[:, TIME]
+    information = 3e5 * by_errors.T @ by_errors
+    score = information @ errors
+    return UpdateStats(float(errors @ score) + dof, dof, information=information, score=score)
+
+
+@pytest.mark.parametrize('law', [0.0, 0.003])
+def test_an_error_of_the_camera_is_no_law(law: float) -> None:
+    errors = np.zeros(CameraWatch.count + len(LAWS))
+    errors[TIME], errors[CameraWatch.count + CUBIC] = 0.005, law
+    camera = CameraWatch(0)
+    watch, alone = LawWatch(CameraWatch.count, (), camera), LawWatch(CameraWatch.count)
+    stats = shown_by(errors)
+    for each in (camera, watch, alone):
+        each.add(0.1, (stats,))
+    assert camera.is_significant and alone.explained > 0.0
+    assert (watch.explained > 0.0) == (law > 0.0)
+
+
+def test_the_shift_by_a_law_is_that_beside_the_camera() -> None:
+    errors = np.zeros(CameraWatch.count + len(LAWS))
+    errors[TIME], errors[CameraWatch.count + CUBIC] = 0.005, 0.003
+    camera = CameraWatch(0)
+    watch, stats = LawWatch(CameraWatch.count, (), camera), shown_by(errors)
+    camera.add(0.1, (stats,))
+    watch.add(0.1, (stats,))
+    state = initial_state(default_model(), Config(), None, len(errors))
+    state.sensitivity[COEFFICIENTS_START, [TIME, CameraWatch.count + CUBIC]] = 1.0, BY_CUBIC
+    prior_std = np.concatenate([camera.prior_std, PRIOR_STD])
+    before = camera.shift(state)
+    assert before is not None and stats.information is not None and stats.score is not None
+    both = normal_equations(stats.information + np.diag(prior_std**-2.0), stats.score).values
+    total = float(both @ state.sensitivity[COEFFICIENTS_START, : len(errors)])
+    assert watch.suspected_std(state)[SCALE] == pytest.approx(abs(total - before[SCALE]), rel=0.05)
+
+
+@pytest.mark.parametrize('seed', [0, 1])
+def test_a_rolling_shutter_does_not_leave_the_scale_factor_unknown(seed: int) -> None:
+    """In lanes of one speed it looks like a cubic of a size that no gyro has."""
+    hidden = (HiddenEffect(find_effect('rolling_shutter'), (0.018,)),)
+    source = recording('lanes', seed, 120.0, hidden=hidden, camera_hz=10)
+    found = conclude(calibrate(source, Config(), default_model(), follows_changes=True))
+    assert found.converged
+    assert abs(found.scale_factor - source.truth.scale_factor) < 2.5 * found.scale_factor_std

@@ -90,7 +90,7 @@ class CalibrationWatch:
         names = {effect.name for effect in model.effects}
         self._camera = CameraWatch(first, names) if tests_camera else None
         after = first + CameraWatch.count if tests_camera else first
-        self._laws = LawWatch(after, names) if tests_laws else None
+        self._laws = LawWatch(after, names, self._camera) if tests_laws else None
         self._watches = [watch for watch in (self._camera, self._laws) if watch is not None]
         self._heading, self._focal_px = heading, focal_px
         unknown = initial_state(model, config, None)
@@ -163,7 +163,9 @@ class CalibrationWatch:
         errors = HeadingErrors(
             tracks.common_px / self._focal_px, tracks.turn_px / self._focal_px, tracks.are_tracked
         )
-        change = self._scale.add(duration_s, updates, sums, turned_rad, errors)
+        shift = camera.shift(state) if camera is not None and camera.is_certain else None
+        by_camera = 0.0 if shift is None else float(shift[SCALE])
+        change = self._scale.add(duration_s, updates, sums, turned_rad, errors, by_camera)
         is_possible = change is not None and abs(change.value) <= MOST_CHANGE
         follows, events = self._follows_changes and self._scale.is_settled and is_possible, []
         if change is not None and follows:

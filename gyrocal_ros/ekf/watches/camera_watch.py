@@ -68,11 +68,11 @@ class CameraWatch:
     """Number of the columns."""
 
     def __init__(self, first: int, estimated: Collection[str] = ()) -> None:
-        self._columns = slice(first, first + self.count)
-        self._prior_std = PRIOR_STD.copy()
+        self.columns = slice(first, first + self.count)
+        self.prior_std = PRIOR_STD.copy()
         for error, columns in zip(CAMERA_ERRORS, COLUMNS, strict=True):
             if error.effect.name in estimated:
-                self._prior_std[columns] *= NOTHING_LEFT
+                self.prior_std[columns] *= NOTHING_LEFT
         self.time_offset_s = 0.0
         """Stamp minus true time of the images, as far as that is followed."""
         self.allowed_for = ''
@@ -82,7 +82,7 @@ class CameraWatch:
 
     def restart(self) -> None:
         """Forget what was seen so far."""
-        self.sums = normal_equations(np.diag(self._prior_std**-2.0), np.zeros(self.count))
+        self.sums = normal_equations(np.diag(self.prior_std**-2.0), np.zeros(self.count))
         self._nis, self._dof = 0.0, 0
         self._matters_s = 0.0
 
@@ -92,7 +92,7 @@ class CameraWatch:
             self.sums = _with_clock_walk(self.sums, CLOCK_WALK**2 * duration_s)
         for stats in updates:
             if stats.information is not None and stats.score is not None:
-                first = self._columns.start
+                first = self.columns.start
                 self.sums = NormalEquations(
                     *equations_added(self.sums, stats.information, stats.score, first)
                 )
@@ -100,24 +100,30 @@ class CameraWatch:
                 self._dof += stats.dof
 
     @property
-    def _is_significant(self) -> bool:
+    def is_significant(self) -> bool:
+        """True if the camera differs from its calibration."""
         return self._significance(self.sums.explained) >= GATE
+
+    @property
+    def is_certain(self) -> bool:
+        """True if that has mattered to the scale factor for `SETTLE_S`."""
+        return self._matters_s >= SETTLE_S
 
     @property
     def explained(self) -> float:
         """Part of the NIS that significant errors explain, relative to what is left; 0 without."""
-        return self._significance(self.sums.explained) if self._is_significant else 0.0
+        return self._significance(self.sums.explained) if self.is_significant else 0.0
 
     @property
     def errors(self) -> Array:
         """(8,) errors of the camera if they are significant, zero otherwise."""
-        return self.sums.values if self._is_significant else np.zeros(self.count)
+        return self.sums.values if self.is_significant else np.zeros(self.count)
 
     def shift(self, state: State) -> Array | None:
         """Return by how much the errors change yaw bias and coefficients, (1 + k,); None without errors."""
-        if not self._is_significant:
+        if not self.is_significant:
             return None
-        changes: Array = state.sensitivity[YAW_BIAS : state.robot_size, self._columns] @ self.errors
+        changes: Array = state.sensitivity[YAW_BIAS : state.robot_size, self.columns] @ self.errors
         return changes
 
     def finding(self, duration_s: float, state: State, shift: Array | None) -> str:
@@ -134,7 +140,7 @@ class CameraWatch:
         if shift is not None and state.coefficient_count:
             matters = bool(shift[SCALE] ** 2 > state.covariance[COEFFICIENTS_START, COEFFICIENTS_START])
         self._matters_s = self._matters_s + duration_s if matters else 0.0
-        if self._matters_s < SETTLE_S:
+        if not self.is_certain:
             return self.allowed_for
         alone = [
             normal_equations(self.sums.information[columns, columns], self.sums.score[columns])
@@ -157,7 +163,7 @@ class CameraWatch:
         Returns:
             The state, and True if it has changed.
         """
-        value, std = self._time_offset() if self._is_significant else (0.0, math.inf)
+        value, std = self._time_offset() if self.is_significant else (0.0, math.inf)
         self._sure_s = self._sure_s + measured_s if abs(value) > SIGNIFICANT_SIGMA * std else 0.0
         if self._sure_s < SURE_S:
             return state, False
@@ -173,13 +179,14 @@ class CameraWatch:
         before = self.sums
         self.sums = normal_equations(before.information, before.score - value * before.information[:, TIME])
         self._nis -= before.explained - self.sums.explained
-        followed = value * state.sensitivity[:, self._columns.start + TIME]
+        followed = value * state.sensitivity[:, self.columns.start + TIME]
         return changed(state, mean=state.mean + followed), True
 
     def _time_offset(self) -> tuple[float, float]:
         """Return the time between images and gyro that is not followed yet, and its standard deviation."""
-        variance = inverse(self.sums.information)[TIME, TIME]
-        return float(self.sums.values[TIME]), math.sqrt(variance * self._left(self.sums.explained))
+        return float(self.sums.values[TIME]), math.sqrt(
+            inverse(self.sums.information)[TIME, TIME] * self._left(self.sums.explained)
+        )
 
     def _significance(self, explained: float) -> float:
         """Return the explained part of the NIS by the part per degree of freedom that is left."""

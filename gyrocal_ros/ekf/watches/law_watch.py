@@ -4,7 +4,8 @@ Where it does, it seems to change with each turn. Where it does so little, its m
 taken for the one at small rates, many standard deviations off. Each law has a column in the sensitivity X,
 like a candidate effect (`ekf.history.score_statistics`): the innovations give its size theta, and X theta
 is what it changes in bias and coefficients (Friedland 1969). The estimate does not follow; the shift adds
-to the standard deviations.
+to the standard deviations. Where the camera has errors that are significant, a law is what they leave: the
+rows of an image that are exposed one after the other look like a cubic.
 """
 
 from __future__ import annotations
@@ -25,6 +26,8 @@ from gyrocal_ros.ekf.state.normal_equations import (
     equations_added,
     normal_equations,
 )
+from gyrocal_ros.ekf.state.positive_definite import inverse
+from gyrocal_ros.ekf.watches.camera_watch import CameraWatch
 
 RATES = 'the scale factor is not the same at all rates'
 SIDES = 'the scale factor is not the same to both sides'
@@ -50,12 +53,16 @@ class LawWatch:
     Args:
         first: index of the first of them.
         estimated: names of the effects that the model has: it estimates these laws itself.
+        camera: the test of the camera, which takes each step before this one; None without.
     """
 
     count = len(LAWS)
     """Number of the columns."""
 
-    def __init__(self, first: int, estimated: Collection[str] = ()) -> None:
+    def __init__(
+        self, first: int, estimated: Collection[str] = (), camera: CameraWatch | None = None
+    ) -> None:
+        self._camera = camera
         self._columns = slice(first, first + self.count)
         is_left = np.array([law.name not in estimated for law, _ in LAWS])
         self._prior_std = PRIOR_STD * np.where(is_left, 1.0, NOTHING_LEFT)
@@ -64,11 +71,20 @@ class LawWatch:
     def restart(self) -> None:
         """Forget what was seen so far."""
         self.sums = normal_equations(np.diag(self._prior_std**-2.0), np.zeros(self.count))
+        errors = np.empty(0) if self._camera is None else self._camera.prior_std
+        self._information: Array = np.diag(np.concatenate([errors, self._prior_std]) ** -2.0)
+        self._score: Array = np.zeros(len(self._information))
+        """Sums for the errors of the camera and then the laws, see `NormalEquations`."""
+        self._errors: Array | None = None
+        self._by_camera: Array | None = None
+        """(8,) errors of the camera, and (3, 8) how much less they are by each law; None without any."""
         self._nis, self._dof = 0.0, 0
-        self._best, self._explained, self._is_agreed = 0, 0.0, False
-        """Place of the law that alone explains most, its significance squared, and whether blocks agree."""
-        self._block_s, self._block_began, self._squares = 0.0, self.sums.score, np.zeros(self.count)
-        """Age of the present block, scores at its beginning, and summed squares of the scores of blocks."""
+        self._best, self._value, self._explained, self._is_agreed = 0, 0.0, 0.0, False
+        """Place of the law that alone explains most, its value, its significance squared, and whether blocks
+        agree."""
+        self._block_s, self._squares = 0.0, np.zeros(self.count)
+        """Age of the present block, and summed squares of the scores of blocks."""
+        self._block_began: tuple[Array, Array] = self._information, self._score
         self._certain_s = 0.0
 
     def add(self, duration_s: float, updates: tuple[UpdateStats, ...]) -> None:
@@ -81,22 +97,42 @@ class LawWatch:
             if weight < 1.0:
                 information, score = weight * information, weight * score
             self.sums = NormalEquations(*equations_added(self.sums, information, score, first))
+            both = slice(self._columns.stop - len(self._score), self._columns.stop)
+            self._information = self._information + information[both, both]
+            self._score = self._score + score[both]
             self._nis += weight * stats.nis
             self._dof += stats.dof
         self._block_s += duration_s
         if self._block_s >= BLOCK_S:
-            self._squares = self._squares + (self.sums.score - self._block_began) ** 2
-            self._block_s, self._block_began = 0.0, self.sums.score
+            information_then, score_then = self._block_began
+            left = self._left(self._information - information_then, self._score - score_then)
+            self._squares, self._block_s = self._squares + left**2, 0.0
+            self._block_began = self._information, self._score
         self._judge()
 
+    def _left(self, information: Array, score: Array) -> Array:
+        """Return what significant errors of the camera leave of the scores (3,) of some time."""
+        if self._errors is None:
+            return score[-self.count :]
+        left: Array = score[-self.count :] - information[-self.count :, : -self.count] @ self._errors
+        return left
+
     def _judge(self) -> None:
-        """Find the law that alone explains most, and its significance."""
-        scores, information = self.sums.score.tolist(), self.sums.information.diagonal().tolist()
-        alone = [score**2 / known for score, known in zip(scores, information, strict=True)]
+        """Find the law that alone explains most, and its significance, beside the errors of the camera."""
+        known = self._information.diagonal()[-self.count :]
+        self._errors = self._by_camera = None
+        if self._camera is not None and self._camera.is_significant:
+            # The Schur complement: law and camera are estimated together.
+            before, cross = slice(-self.count), self._information[-self.count :, : -self.count]
+            covariance = inverse(self._information[before, before])
+            self._errors, self._by_camera = covariance @ self._score[before], cross @ covariance
+            known = known - np.sum(self._by_camera * cross, axis=1)
+        scores, information = self._left(self._information, self._score).tolist(), known.tolist()
+        alone = [score**2 / part for score, part in zip(scores, information, strict=True)]
         explained = max(alone)
         left = max((self._nis - explained) / max(self._dof, 1), 1.0)
         best = self._best = alone.index(explained)
-        self._explained = explained / left
+        self._value, self._explained = scores[best] / information[best], explained / left
         self._is_agreed = scores[best] ** 2 >= AGREED_SIGMA**2 * float(self._squares[best])
 
     @property
@@ -109,9 +145,11 @@ class LawWatch:
         best, chance = self._best, CHANCE_SIGMA**2
         if self._explained <= chance:
             return np.zeros(1 + state.coefficient_count)
-        by_law = state.sensitivity[YAW_BIAS : state.robot_size, self._columns.start + best]
-        value = self.sums.score[best] / self.sums.information[best, best]
-        std: Array = np.abs(by_law * value) * math.sqrt(1.0 - chance / self._explained)
+        by_error = state.sensitivity[YAW_BIAS : state.robot_size]
+        by_law = by_error[:, self._columns.start + best]
+        if self._camera is not None and self._by_camera is not None:
+            by_law = by_law - by_error[:, self._camera.columns] @ self._by_camera[best]
+        std: Array = np.abs(by_law * self._value) * math.sqrt(1.0 - chance / self._explained)
         return std
 
     def finding(self, duration_s: float) -> str:

@@ -140,6 +140,8 @@ class ScaleWatch:
         self._running_s = self._turned_rad = self._significant_s = 0.0
         self._began: list[tuple[float, float]] = [(0.0, 0.0)] * COLUMNS
         """Time and turn at which each window began."""
+        self._shifts = [0.0] * COLUMNS
+        """Largest shift of the scale factor by errors of the camera since then."""
         self._is_turning = False
         self._errors = EXACT
         # The turn that the scale factor is from: that of an earlier calibration is not known, but large.
@@ -162,12 +164,14 @@ class ScaleWatch:
         others: Sequence[NormalEquations] = (),
         turned_rad: float = 0.0,
         errors: HeadingErrors = EXACT,
+        shift: float = 0.0,
     ) -> ScaleChange | None:
         """Add the updates of one step; return the most significant change, None before it is noticed.
 
         Innovations that a change does not explain count as noise: what contradicts the filter otherwise, such
         as images of something else, is no change of the scale factor. Nor is an error of a heading that
-        images of a turn have in common: it makes a change that is the smaller, the more has been turned.
+        images of a turn have in common: it makes a change that is the smaller, the more has been turned. What
+        an error of the camera shifts now, and has shifted differently before, seems to change as well.
 
         Args:
             duration_s: length of the step.
@@ -175,6 +179,7 @@ class ScaleWatch:
             others: groups of errors that are tested beside, in the order of their columns.
             turned_rad: by how much the robot has turned to the left in the step.
             errors: of the headings.
+            shift: of the scale factor, by errors of the camera that are certain.
         """
         is_measured, side_rad, turned_rad = bool(updates and updates[-1].dof), turned_rad, abs(turned_rad)
         for stats in updates:
@@ -183,6 +188,8 @@ class ScaleWatch:
                     self._sums, stats.information, stats.score, stats.nis, stats.dof, self._first
                 )
         self._errors = errors
+        if shift:
+            self._shifts = [max(shifted, abs(shift)) for shifted in self._shifts]
         self._turned_rad += turned_rad
         self._calibrating_turn_rad += turned_rad
         self._is_turning = turned_rad > TURNING_RAD_S * duration_s
@@ -194,13 +201,14 @@ class ScaleWatch:
         values, variances, sigmas = self._changes(others)
         self._ramp, self._ramp_variance = values.item(RAMP), variances.item(RAMP)
         self._ramp_sigma = sigmas.item(RAMP)
-        sigma = max(sigmas.tolist()[:RAMP])
+        sigma = beside = max(sigmas.tolist()[:RAMP])
         if sigma >= CHANGE_SIGMA:
             turned = [max(self._turned_since(column), MIN_TURN_RAD) for column in range(COLUMNS)]
             repeated = (errors.repeated_rad / np.array(turned)) ** 2
             sigmas, variances = sigmas / np.sqrt(1.0 + repeated / variances), variances + repeated
-            sigma = max(sigmas.tolist()[:RAMP])
-        if sigma < CHANGE_SIGMA:
+            sigma, shifted = max(sigmas.tolist()[:RAMP]), np.array(self._shifts) ** 2
+            beside = max((sigmas / np.sqrt(1.0 + shifted / variances)).tolist()[:RAMP])
+        if beside < CHANGE_SIGMA:
             self._significant_s = 0.0
             return None
         self._significant_s = self._significant_s or duration_s
@@ -305,7 +313,7 @@ class ScaleWatch:
                 sensitivity[COEFFICIENTS_START, RAMP] = 0.0
         self._sums[chosen] = 0.0
         for column in chosen.nonzero()[0].tolist():
-            self._began[column] = self._running_s, self._turned_rad
+            self._began[column], self._shifts[column] = (self._running_s, self._turned_rad), 0.0
         self._was_calibrated[chosen] = self._is_stored or self._calibrated_s > SETTLE_S
         return changed(state, sensitivity=sensitivity)
 

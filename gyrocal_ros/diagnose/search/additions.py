@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.analysis.drift import better_sigma, drift_of_both
+from gyrocal_ros.diagnose.analysis.drift import better_sigma, drift_of_both, drifts_more
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg, model_fit, turn_against_body_rad
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
@@ -222,9 +222,14 @@ class Removal:
 
     @property
     def is_needed(self) -> bool:
-        """True for a limit or a noise without which the recording is predicted worse."""
+        """True if without it the recording is predicted worse, and the robot drifts more.
+
+        A limit or a noise has no distance from zero: that the prediction is worse is enough.
+        """
         loses = -self.predictive_gain > self.after.settings.min_predictive_gain
-        return loses and math.isinf(self.distance)
+        if not loses or math.isinf(self.distance):
+            return loses
+        return drifts_more(*drift_of_both(self.before.run, self.after.run))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

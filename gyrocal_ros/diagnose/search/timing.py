@@ -47,6 +47,8 @@ RATE_PART = 0.75
 """Part of what the offsets of the blocks gain over a constant one, from which a line over the rate explains
 them."""
 TINY = np.finfo(float).tiny
+END_PART = 0.05
+"""Part of the weight of the blocks, at either end, that says nothing of the range of their offsets."""
 ROUGH_S = 0.001
 """Standard deviation of a line over the offsets of blocks; blocks that are sharper count alike."""
 
@@ -146,9 +148,9 @@ def _changing(
         may_jitter: True if the innovations are far larger in turns.
     """
     excess, price = excess_nis(examined.run), examined.settings.coefficient_price * len(blocks.time_s)
-    sharp = blocks.values_s[blocks.stds_s < MIN_STD * np.ptp(blocks.values_s)]
-    gain = blocks.gain(blocks.values_s)
-    spread = (float(sharp.min()), float(sharp.max())) if len(sharp) else (0.0, 0.0)
+    is_sharp = blocks.stds_s < MIN_STD * np.ptp(blocks.values_s)
+    sharp, gain = blocks.values_s[is_sharp], blocks.gain(blocks.values_s)
+    spread = _range(sharp, blocks.stds_s[is_sharp])
     if may_jitter and 2.0 * max(gain, known) < JITTERS_PART * excess:
         return _jitter(examined, max(gain, known), float(blocks.information.sum()), spread)
     explains = gain - price > max(MARGIN * known, _gain_of_structure(examined))
@@ -156,6 +158,16 @@ def _changing(
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S or _follow_the_rate(blocks, examined.run):
         return None
     return TimingFault('changes', *spread, float(np.std(sharp)), gain)
+
+
+def _range(values_s: Array, stds_s: Array) -> tuple[float, float]:
+    """Return the range of the offsets (b,) of blocks, without the few of either end: turns may err alike."""
+    if not len(values_s):
+        return 0.0, 0.0
+    order = np.argsort(values_s)
+    weight = np.cumsum(1.0 / (stds_s[order] ** 2 + ROUGH_S**2))
+    low, high = np.searchsorted(weight, np.array([END_PART, 1.0 - END_PART]) * weight[-1])
+    return float(values_s[order[low]]), float(values_s[order[high]])
 
 
 def _gain_of_structure(examined: ExaminedModel) -> float:

@@ -358,6 +358,15 @@ class TestSearch:
         added = Addition(effect, None, after, 9.0, 9.0, 0.0, np.zeros(2), strengths=np.array([0]))
         assert added.is_negligible == is_negligible
 
+    @pytest.mark.parametrize(('name', 'is_trace'), [('focal_length', True), ('radial_distortion', False)])
+    def test_a_lens_is_not_named_for_what_the_tilt_gyros_may_do(self, name: str, is_trace: bool) -> None:
+        effect = find_effect(name)
+        usual = [item.typical for item in effect.coefficients]
+        values = 0.8 * np.array([item.low for item in usual if item is not None])
+        after: Any = SimpleNamespace(estimate_of=lambda _: (values, 0.0 * values), settings=DEFAULT_SETTINGS)
+        added = Addition(effect, None, after, 9.0, 9.0, 0.0, np.zeros(2), strengths=np.array([0]))
+        assert added.is_negligible == is_trace
+
     @pytest.mark.parametrize(
         ('constant_s', 'std_s', 'is_momentary'),
         [(0.004, 0.01, True), (0.004, 0.2, False), (1.0, 0.01, False)],
@@ -781,6 +790,19 @@ class TestElimination:
         fake.predictive_gains['gyro_lag'] = beside['gyro_lag']
         found = eliminate(both, summary_of(made), fake)
         assert [item.effect.name for item in found.removals] == ['rate_saturation'] * (not is_needed)
+
+    @pytest.mark.parametrize('drifts_more', [True, False])
+    def test_an_effect_without_which_the_robot_drifts_more_stays(
+        self, drifts_more: bool, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        """Where its twin tells as much, its own strength is hardly known."""
+        sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}
+        fake = FakeFilter(sizes, {'gyro_lag': 400.0, 'scale_cubic': 90.0}, alone={'gyro_lag': 2.0})
+        fake.ends = {'gyro_lag': 2.0 * STD}
+        both = search(default_model(), AT_REST, fake)
+        assert [item.effect.name for item in both.kept] == ['gyro_lag', 'scale_cubic']
+        monkeypatch.setattr('gyrocal_ros.diagnose.search.additions.drifts_more', lambda *drifts: drifts_more)
+        assert bool(eliminate(both, AT_REST, fake).removals) != drifts_more
 
     def test_an_effect_without_which_the_filter_diverges_stays(self) -> None:
         sizes = {'gyro_lag': 2.0, 'scale_cubic': 1.0}

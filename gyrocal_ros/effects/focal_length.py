@@ -32,6 +32,9 @@ class FocalLength:
         shown_against='image',
     )
     acts_on: ClassVar[Place] = 'camera'
+    least_shown_part: ClassVar[float] = 0.9
+    """Scale factors of the x and y gyros that are a per cent off look like a focal length: both say how far
+    points move in the image where the robot tilts."""
     name: str = 'focal_length'
     coefficients: tuple[Coefficient, ...] = (
         Coefficient('s', '1', prior_std=0.02, typical=TypicalRange(0.015, 0.03)),

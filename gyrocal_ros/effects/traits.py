@@ -45,6 +45,11 @@ def are_twins(one: Effect, other: Effect) -> bool:
     )
 
 
+def least_shown_part(effect: Effect) -> float:
+    """Return the part of its least usual size below which something else looks the same; 0 without any."""
+    return float(getattr(effect, 'least_shown_part', 0.0))
+
+
 def holds_once(effect: Effect) -> bool:
     """Return True for a law that holds for one recording only: another one begins at another time."""
     return getattr(effect, 'holds_once', False)

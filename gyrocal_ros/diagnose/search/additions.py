@@ -13,7 +13,7 @@ from gyrocal_ros.diagnose.analysis.drift import better_sigma, drift_of_both, dri
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, coefficient_places
 from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg, model_fit, turn_against_body_rad
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
-from gyrocal_ros.effects.traits import has_impossible_sign, scanned_coefficient
+from gyrocal_ros.effects.traits import has_impossible_sign, least_shown_part, scanned_coefficient
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.model.sensor import Effect, LimitEffect
 from gyrocal_ros.statistics import vuong_sigma
@@ -108,7 +108,7 @@ class Addition:
         """
         settings, is_of_camera = self.after.settings, self.effect.acts_on == 'camera'
         part = settings.min_usual_part_camera if is_of_camera else settings.min_usual_part
-        return self.is_below(part) and not self.takes_drift_away
+        return self.is_below(max(part, least_shown_part(self.effect))) and not self.takes_drift_away
 
     @property
     def is_momentary(self) -> bool:

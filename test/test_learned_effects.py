@@ -227,6 +227,20 @@ class TestMemory:
         assert np.all(columns[:100] == turning)
         np.testing.assert_allclose(columns[-1], turning * np.exp(-3.0 / bank.tau_s), rtol=1e-9)
 
+    def test_that_of_a_signal_shows_its_rate_of_change(self) -> None:
+        """As of a bias that follows the flow of heat; a temperature settles within some ten seconds."""
+        dt_s = np.full(2500, 0.1)
+        time_s, temperature_c, change = np.cumsum(dt_s), np.zeros(2500), np.zeros(2500)
+        steps = (25.0, 6.0, 12.0), (62.0, -5.0, 25.0), (110.0, 7.0, 18.0), (180.0, 6.0, 10.0)
+        for start_s, step_c, tau_s in steps:
+            left = np.where(time_s > start_s, np.exp(-np.maximum(time_s - start_s, 0.0) / tau_s), 1.0)
+            temperature_c += step_c * (1.0 - left)
+            change += step_c / tau_s * np.where(time_s > start_s, left, 0.0)
+        block = replace(posed_block(2500), dt_s=dt_s, temperature_c=temperature_c)
+        columns, _ = memory('bias', 'temperature').remembered(block, None)
+        _, squares, *_ = np.linalg.lstsq(columns, change, rcond=None)
+        assert squares.item() < 0.15 * float(change @ change)
+
     def test_fast_changes_vanish_in_a_steady_turn(self) -> None:
         bank = memory('bias', DYNAMICS)
         count = 400

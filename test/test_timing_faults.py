@@ -113,6 +113,14 @@ def test_an_offset_that_does_not_grow_steadily_is_no_drift() -> None:
     assert small is None, 'a change of 3 ms costs little'
 
 
+@pytest.mark.parametrize(('many', 'is_fault'), [(1, False), (5, True)])
+def test_a_single_turn_that_errs_is_no_change_of_the_offset(many: int, is_fault: bool) -> None:
+    """Clocks of usual quality run apart by two milliseconds in some minutes, and one turn may err besides."""
+    offsets_s = np.linspace(-0.001, 0.001, BLOCKS)
+    offsets_s[3 : 3 + many] = 0.007
+    assert (timing_fault(examined_with(offsets_s, 0.0, BOTH)) is not None) == is_fault
+
+
 def test_stamps_that_jitter() -> None:
     fault = timing_fault(examined_with(np.zeros(BLOCKS), 0.02, BOTH))
     assert fault is not None and fault.kind == 'jitters'

@@ -160,7 +160,9 @@ def _range(effect: Curve | ExponentialBank, duration_s: float) -> tuple[float, f
         return (-np.pi, np.pi) if effect.follows == HEADING else (effect.low, effect.high)
     if effect.over == 'dynamics':
         return 0.0, DYNAMICS_S
-    return 0.0, duration_s if effect.follows == START else min(SLOWEST * effect.tau_s[-1], duration_s)
+    return 0.0, duration_s if effect.follows == START else min(
+        SLOWEST * float(effect.tau_s.max()), duration_s
+    )
 
 
 def without_present(curve: Estimated, functions: Array) -> Array:

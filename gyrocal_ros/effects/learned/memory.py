@@ -64,8 +64,8 @@ OF_SCALE = (START, ABS_RATE)
 """Drives of which a scale may be a memory, beside any signal."""
 _SHOWN_AGAINST: dict[str, Stimulus] = {START: 'time', TEMPERATURE: 'temperature'}
 OTHER_TAUS_S = (3.0, 10.0, 30.0, 100.0, 0.3, 1.0)
-"""Time constants for any other signal. The short ones, which show its rate of change, come last: in a model that
-was stored without them the others keep their meaning."""
+"""Time constants for any other signal. The short ones, which show its rate of change, come last: in a model
+that was stored without them the others keep their meaning."""
 EVENT_TAUS_S = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0)
 """Time constants of what fades after an event of a signal."""
 

@@ -10,6 +10,8 @@ import pytest
 from filter_states import MODEL, some_state
 
 from gyrocal_ros.config.sections import Config
+from gyrocal_ros.diagnose.analysis.examined import with_effect
+from gyrocal_ros.effects import find_effect
 from gyrocal_ros.ekf.features.landmarks import forget_all
 from gyrocal_ros.ekf.state.layout import BIAS, COEFFICIENTS_START, POSE, YAW, YAW_BIAS, State
 from gyrocal_ros.ekf.state.pauses import inflate_after_gap, restarted_at
@@ -41,6 +43,20 @@ def test_a_run_starts_from_the_result_of_an_earlier_one() -> None:
     fresh = initial_state(MODEL, Config(), None)
     np.testing.assert_array_equal(state.mean[11:], fresh.mean[11:])
     np.testing.assert_array_equal(state.covariance[11:], fresh.covariance[11:])
+
+
+def test_what_fades_after_power_on_may_have_faded_already() -> None:
+    """The strength may be anything down to zero; the time constant is one of the gyro."""
+    model = with_effect(MODEL, find_effect('bias_memory:start'))
+    names = ('bias', *model.coefficient_names)
+    known = Start(names, np.linspace(0.01, 0.02, len(names)), 1e-8 * np.eye(len(names)))
+    std = np.sqrt(initial_state(model, Config(), known).covariance.diagonal()[COEFFICIENTS_START:])
+    fades = [
+        item.unit == 'rad/s' and 'start' in name or name.endswith('amplitude')
+        for name, item in zip(model.coefficient_names, model.coefficients, strict=True)
+    ]
+    assert sum(fades) == 6
+    np.testing.assert_allclose(std[1:], np.where(fades, np.hypot(known.values[1:], 1e-4), 1e-4)[1:])
 
 
 def scale_std(state: State) -> float:

@@ -36,6 +36,16 @@ def follows_signal(effect: Effect) -> bool:
     return bool(getattr(effect, 'signal', None))
 
 
+def follows_power_on(effect: Effect) -> bool:
+    """Return True if the effect follows the time since power-on, which no recording tells."""
+    return isinstance(effect, LibraryEffect) and effect.about.shown_against == 'time'
+
+
+def follows_temperature(effect: Effect) -> bool:
+    """Return True if the effect follows a recorded temperature."""
+    return isinstance(effect, LibraryEffect) and effect.about.shown_against == 'temperature'
+
+
 def are_twins(one: Effect, other: Effect) -> bool:
     """Return True if one of two effects is easily taken for the other, by what they say of themselves."""
     pairs = ((one, other), (other, one))

@@ -6,6 +6,7 @@ one_more     runs with one more effect; `several` are effects that explain only 
 elimination  backward elimination; `alternatives` are other combinations
 uneven       effects of some stretches only; `traces` are too small, `look_alikes` are listed with those found
 limit_runs   runs with a saturation or a dead band; `limit_sizes` tries their sizes
+thermometer  the temperature in place of the time since power-on
 noise_fit    noise that makes the headings likeliest
 timing       faults of the stamps
 recovery     runs in which the filter diverges

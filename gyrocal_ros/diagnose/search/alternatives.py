@@ -20,6 +20,7 @@ from gyrocal_ros.diagnose.search.elimination import without_addition
 from gyrocal_ros.diagnose.search.look_alikes import look_alikes
 from gyrocal_ros.diagnose.search.one_more import with_one_more
 from gyrocal_ros.diagnose.search.search import continued
+from gyrocal_ros.diagnose.search.thermometer import price_of_power_on
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect
@@ -123,13 +124,15 @@ def searched_again(found: Search, recording: RecordingSummary, calibrate: Calibr
 def _advantage(present: Search, other: Search) -> float:
     """Return the predictive log-likelihood that another search gains, less the price of more effects.
 
-    The price is that of `ranking.best_explanation`: two effects have to be worth it as well. An effect that
-    is only left out, without another in its place, is the elimination's to judge.
+    The price is that of `ranking.best_explanation`: two effects have to be worth it as well; so has one that
+    follows power-on in place of the temperature. An effect that is only left out, without another in its
+    place, is the elimination's to judge.
     """
     settings = present.first.settings
     names, others = ({item.effect.name for item in search.kept} for search in (present, other))
     if others <= names:
         return -math.inf
     gain = float(predictive_gain(present.last.run, other.last.run).sum())
-    price = settings.coefficient_price + settings.significant_gain
-    return gain - price * (len(others) - len(names))
+    price = (settings.coefficient_price + settings.significant_gain) * (len(others) - len(names))
+    price += price_of_power_on(*([item.effect for item in search.kept] for search in (present, other)))
+    return gain - price

@@ -43,6 +43,7 @@ from gyrocal_ros.diagnose.search.limit_sizes import resized
 from gyrocal_ros.diagnose.search.noise_fit import unless_a_walk_explains
 from gyrocal_ros.diagnose.search.one_more import with_one_more
 from gyrocal_ros.diagnose.search.recovery import first_run
+from gyrocal_ros.diagnose.search.thermometer import or_by_temperature
 from gyrocal_ros.diagnose.search.timing import timing_fault
 from gyrocal_ros.diagnose.search.traces import best_beside, traces
 from gyrocal_ros.diagnose.search.uneven import uneven_addition, uneven_explanation
@@ -251,6 +252,8 @@ def _next_addition(
     best = best_beside(present, excluded, beside)
     if best is not None and best.fit.gain < least_gain:
         best = None
+    if best is not None:
+        best = or_by_temperature(best, present.ranked, excluded)
     structure = present.unexplained_structure
     structure_gain = structure.gain if structure is not None else 0.0
     limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in excluded]

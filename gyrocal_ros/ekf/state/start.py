@@ -9,6 +9,7 @@ import numpy as np
 
 from gyrocal_ros.config.sections import Config, GyroConfig
 from gyrocal_ros.data import Array, seconds
+from gyrocal_ros.effects.traits import follows_power_on
 from gyrocal_ros.ekf.state.layout import BIAS, COEFFICIENTS_START, YAW_BIAS, State, no_landmarks
 from gyrocal_ros.model.sensor import SensorModel
 
@@ -34,7 +35,8 @@ def initial_state(model: SensorModel, config: Config, start: Start | None, candi
 
     Values of an earlier run replace their priors. Its bias is a turn-on quantity and may have changed while
     the robot was off, so the prior variance is added to it; the scale factor changes less from one start to
-    the next. What time and temperature change is added by `aged` and `warmed` when they are known.
+    the next. What time and temperature change is added by `aged` and `warmed` when they are known. What fades
+    after power-on may have faded already.
     """
     coefficients = model.coefficients
     size = COEFFICIENTS_START + len(coefficients)
@@ -53,8 +55,21 @@ def initial_state(model: SensorModel, config: Config, start: Start | None, candi
         mean[places] = start.values[taken]
         covariance[np.ix_(places, places)] = start.covariance[np.ix_(taken, taken)]
         covariance[YAW_BIAS, YAW_BIAS] += bias_variance
+        covariance += np.diag(_faded(model, mean)) ** 2
     state = State(0, mean, covariance, len(coefficients), no_landmarks(), np.zeros((size, candidate_count)))
     return state if start is None else _with_scale_change(state, model, config.gyro.scale_turn_on_std)
+
+
+def _faded(model: SensorModel, mean: Array) -> Array:
+    """Return the strengths (n,) of the effects that follow power-on, zero elsewhere in a state (n,)."""
+    is_strength = [
+        follows_power_on(effect) and item.unit != 's'
+        for effect in model.effects
+        for item in effect.coefficients
+    ]
+    faded = np.zeros_like(mean)
+    faded[COEFFICIENTS_START:] = np.where(is_strength, mean[COEFFICIENTS_START:], 0.0)
+    return faded
 
 
 def aged(state: State, model: SensorModel, start: Start, gyro: GyroConfig) -> State:

@@ -24,6 +24,7 @@ from gyrocal_ros.diagnose.search.timing import (
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.history.score_statistics import BLOCK_S, ScoreStatistics
+from gyrocal_ros.ekf.state.layout import YAW
 
 DURATION_S, INFORMATION = 200.0, 1e8
 BLOCKS = round(DURATION_S / BLOCK_S)
@@ -195,6 +196,23 @@ def test_innovations_that_are_large_everywhere_are_no_fault_of_the_stamps() -> N
     assert timing_fault(replace(examined, run=replace(examined.run, history=everywhere))) is None
 
 
+def with_heading(mean: Array, heading_rad: Array) -> Array:
+    """Return states (s, n) with other headings (s,)."""
+    turned = mean.copy()
+    turned[:, YAW] = heading_rad
+    return turned
+
+
+@pytest.mark.parametrize(('drift_deg_s', 'is_fault'), [(0.002, True), (0.2, False)])
+def test_an_offset_of_the_stamps_makes_no_heading_drift(drift_deg_s: float, is_fault: bool) -> None:
+    examined = examined_with(SAWTOOTH_S, 0.0, BOTH)
+    history = examined.run.history
+    heading_rad = history.mean[:, YAW] + math.radians(drift_deg_s) * np.cumsum(history.dt_s)
+    drifting = replace(history, mean=with_heading(history.mean, heading_rad))
+    fault = timing_fault(replace(examined, run=replace(examined.run, history=drifting)))
+    assert (fault is not None) == is_fault
+
+
 @pytest.mark.parametrize('sign', [1.0, -1.0])
 @pytest.mark.parametrize('noise_s', [0.0, 0.006])
 def test_an_offset_that_follows_the_rate_is_none_of_the_stamps(sign: float, noise_s: float) -> None:
@@ -205,7 +223,8 @@ def test_an_offset_that_follows_the_rate_is_none_of_the_stamps(sign: float, nois
     history = examined.run.history
     in_blocks = level[np.minimum(history.time_s // BLOCK_S, BLOCKS - 1).astype(int)]
     turning = np.abs(history.turn_rad / history.dt_s) > TURNING_RAD_S
-    turned = replace(history, turn_rad=np.where(turning, in_blocks * FAST_RAD_S, 0.0) * history.dt_s)
+    turn_rad = np.where(turning, in_blocks * FAST_RAD_S, 0.0) * history.dt_s
+    turned = replace(history, turn_rad=turn_rad, mean=with_heading(history.mean, np.cumsum(turn_rad)))
     fault = timing_fault(replace(examined, run=replace(examined.run, history=turned)))
     assert (fault is None) == (noise_s == 0.0), 'with noise the rate explains two thirds'
 

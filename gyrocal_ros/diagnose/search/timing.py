@@ -17,9 +17,10 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.analysis.candidates import columns_of
+from gyrocal_ros.diagnose.analysis.drift import blind_drift, held_out_from_s
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel
 from gyrocal_ros.diagnose.analysis.heading_filter import Headings, heading_log_likelihood
-from gyrocal_ros.diagnose.analysis.model_fit import excess_nis
+from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg, excess_nis
 from gyrocal_ros.diagnose.analysis.ranking import explained_together
 from gyrocal_ros.diagnose.search.noise_fit import fit_noises
 from gyrocal_ros.ekf.history.run import Run
@@ -47,6 +48,8 @@ RATE_PART = 0.75
 """Part of what the offsets of the blocks gain over a constant one, from which a line over the rate explains
 them."""
 TINY = np.finfo(float).tiny
+FURTHER = 1.5
+"""Drift, relative to the turn within the range of the offsets and to noise, that stamps do not make."""
 END_PART = 0.05
 """Part of the weight of the blocks, at either end, that says nothing of the range of their offsets."""
 ROUGH_S = 0.001
@@ -157,6 +160,8 @@ def _changing(
     explains = explains and 2.0 * gain > CHANGES_PART * excess
     if not explains or spread[1] - spread[0] < MIN_CHANGE_S or _follow_the_rate(blocks, examined.run):
         return None
+    if _drifts_further(examined.run, spread[1] - spread[0]):
+        return None
     return TimingFault('changes', *spread, float(np.std(sharp)), gain)
 
 
@@ -174,6 +179,17 @@ def _gain_of_structure(examined: ExaminedModel) -> float:
     """Return the log-likelihood that the headings gain by a law of the gyro; wrong stamps bend none."""
     structure = examined.unexplained_structure
     return 0.0 if structure is None else structure.gain
+
+
+def _drifts_further(run: Run, range_s: float) -> bool:
+    """Return True if the robot drifts further without the camera than such a range of offsets explains.
+
+    A wrong stamp shifts the heading that an image shows; it is no error of the gyro, which adds up.
+    """
+    fastest_deg_s = math.degrees(float(np.max(np.abs(run.history.turn_rad / run.history.dt_s))))
+    drift = blind_drift(run, from_s=held_out_from_s(run))
+    explained_deg = fastest_deg_s * range_s + drift_by_noise_deg(run, drift)
+    return drift.rms_deg > FURTHER * explained_deg
 
 
 def _follow_the_rate(blocks: _BlockOffsets, run: Run) -> bool:

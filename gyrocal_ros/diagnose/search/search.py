@@ -252,8 +252,6 @@ def _next_addition(
     best = best_beside(present, excluded, beside)
     if best is not None and best.fit.gain < least_gain:
         best = None
-    if best is not None:
-        best = or_by_temperature(best, present.ranked, excluded)
     structure = present.unexplained_structure
     structure_gain = structure.gain if structure is not None else 0.0
     limits = [item for item in limits_to_check(present, recording, best) if item.effect.name not in excluded]
@@ -298,7 +296,8 @@ def _with_best(
     """
     if not is_strange:
         with suppress(*CANNOT_RUN):
-            return with_one_more(present, best.effect, recording, calibrate)
+            added = with_one_more(present, best.effect, recording, calibrate)
+            return or_by_temperature(added, excluded, recording, calibrate)
         return None
     others = [item for item in present.ranked if item.is_significant and item.effect.name not in excluded]
     for item in [best, *(item for item in others if item is not best)][: 1 + present.settings.max_rivals]:

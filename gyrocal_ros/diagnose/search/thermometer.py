@@ -6,40 +6,54 @@ switched on, and the air may be warmer.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Collection, Iterable
+from contextlib import suppress
 
-from gyrocal_ros.diagnose.analysis.ranking import RankedEffect
+from gyrocal_ros.diagnose.analysis.examined import Calibrate
+from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.search.additions import Addition
+from gyrocal_ros.diagnose.search.one_more import with_one_more
 from gyrocal_ros.effects.traits import are_twins, follows_power_on, follows_temperature
+from gyrocal_ros.errors import CANNOT_RUN
+from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect
 
-ALIKE_PART = 0.85
-"""Part of the merit of an effect of the time since power-on from which one of the temperature is taken."""
-MIN_GAIN = 100.0
-"""Log-likelihood by which an effect of the time since power-on has to predict better than that: beside other
-effects that are not quite exact either may gain some dozens."""
+MIN_GAIN = 60.0
+"""Log-likelihood by which an effect of the time since power-on has to be better to take the place of one of
+the temperature: beside others that are not quite exact, either may gain some dozens."""
 
 
 def or_by_temperature(
-    best: RankedEffect, ranked: Sequence[RankedEffect], excluded: Collection[str]
-) -> RankedEffect:
-    """Return the best explanation, or an effect of the temperature that is nearly as good.
+    added: Addition, excluded: Collection[str], recording: RecordingSummary, calibrate: Calibrate
+) -> Addition:
+    """Return an addition, or an effect of the temperature that predicts as well as one of power-on.
 
     Args:
-        best: the best explanation.
-        ranked: all candidates.
+        added: the best explanation, after its run.
         excluded: names of effects not to try.
+        recording: summary of the recording.
+        calibrate: runs the filter.
     """
-    if not follows_power_on(best.effect):
-        return best
+    before = added.before
+    found = None if before is None else before.find(added.effect.name)
+    if before is None or found is None or not follows_power_on(added.effect):
+        return added
     alike = [
         item
-        for item in ranked
+        for item in before.ranked
         if item.effect.name not in excluded
         and item.is_significant
-        and item.merit >= ALIKE_PART * best.merit
-        and _is_twin_by_temperature(item.effect, best.effect)
+        and item.merit > found.merit - MIN_GAIN
+        and _is_twin_by_temperature(item.effect, added.effect)
     ]
-    return max(alike, key=lambda item: item.merit, default=best)
+    if not alike:
+        return added
+    with suppress(*CANNOT_RUN):
+        other = with_one_more(before, max(alike, key=lambda item: item.merit).effect, recording, calibrate)
+        lost = -float(predictive_gain(added.after.run, other.after.run).sum())
+        if other.is_kept and lost < before.settings.min_predictive_gain:
+            return other
+    return added
 
 
 def price_of_power_on(before: Iterable[Effect], after: Iterable[Effect]) -> float:

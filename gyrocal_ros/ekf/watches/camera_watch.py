@@ -184,9 +184,8 @@ class CameraWatch:
 
     def _time_offset(self) -> tuple[float, float]:
         """Return the time between images and gyro that is not followed yet, and its standard deviation."""
-        return float(self.sums.values[TIME]), math.sqrt(
-            inverse(self.sums.information)[TIME, TIME] * self._left(self.sums.explained)
-        )
+        variance = inverse(self.sums.information)[TIME, TIME]
+        return float(self.sums.values[TIME]), math.sqrt(variance * self._left(self.sums.explained))
 
     def _significance(self, explained: float) -> float:
         """Return the explained part of the NIS by the part per degree of freedom that is left."""

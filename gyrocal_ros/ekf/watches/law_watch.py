@@ -23,7 +23,6 @@ from gyrocal_ros.ekf.state.layout import YAW_BIAS, State
 from gyrocal_ros.ekf.state.normal_equations import (
     NOTHING_LEFT,
     NormalEquations,
-    equations_added,
     normal_equations,
 )
 from gyrocal_ros.ekf.state.positive_definite import inverse
@@ -70,11 +69,11 @@ class LawWatch:
 
     def restart(self) -> None:
         """Forget what was seen so far."""
-        self.sums = normal_equations(np.diag(self._prior_std**-2.0), np.zeros(self.count))
         errors = np.empty(0) if self._camera is None else self._camera.prior_std
         self._information: Array = np.diag(np.concatenate([errors, self._prior_std]) ** -2.0)
         self._score: Array = np.zeros(len(self._information))
         """Sums for the errors of the camera and then the laws, see `NormalEquations`."""
+        self.sums = self._of_laws()
         self._errors: Array | None = None
         self._by_camera: Array | None = None
         """(8,) errors of the camera, and (3, 8) how much less they are by each law; None without any."""
@@ -92,16 +91,16 @@ class LawWatch:
         for stats in updates:
             if stats.information is None or stats.score is None:
                 continue
-            information, score, first = stats.information, stats.score, self._columns.start
+            information, score = stats.information, stats.score
             weight = min(1.0, MOST_NIS * stats.dof / max(stats.nis, TINY))
             if weight < 1.0:
                 information, score = weight * information, weight * score
-            self.sums = NormalEquations(*equations_added(self.sums, information, score, first))
             both = slice(self._columns.stop - len(self._score), self._columns.stop)
             self._information = self._information + information[both, both]
             self._score = self._score + score[both]
             self._nis += weight * stats.nis
             self._dof += stats.dof
+        self.sums = self._of_laws()
         self._block_s += duration_s
         if self._block_s >= BLOCK_S:
             information_then, score_then = self._block_began
@@ -109,6 +108,11 @@ class LawWatch:
             self._squares, self._block_s = self._squares + left**2, 0.0
             self._block_began = self._information, self._score
         self._judge()
+
+    def _of_laws(self) -> NormalEquations:
+        """Return the sums for the laws alone."""
+        own = slice(-self.count, None)
+        return normal_equations(self._information[own, own], self._score[own])
 
     def _left(self, information: Array, score: Array) -> Array:
         """Return what significant errors of the camera leave of the scores (3,) of some time."""

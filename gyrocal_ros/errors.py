@@ -26,6 +26,10 @@ class GyrocalError(Exception):
         message = f'{where}: {what}' if where else what
         super().__init__(f'{message}; {todo}' if todo else message)
 
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pass between processes with all parts, whatever the arguments of a subclass are."""
+        return GyrocalError.__new__, (type(self), *self.args), self.__dict__
+
 
 class ConfigError(GyrocalError):
     """A setting or a sensor model that cannot be used."""

@@ -18,7 +18,7 @@ PACKAGE = PROJECT / 'gyrocal_ros'
 MODULES = sorted(PACKAGE.rglob('*.py'))
 
 BANDS = {
-    'base': ('config', 'data', 'errors', 'files', 'kernels'),
+    'base': ('config', 'data', 'errors', 'files', 'kernels', 'workers'),
     'core': ('effects', 'ekf', 'model', 'statistics'),
     'io': ('bag', 'board', 'msgs', 'vision'),
     'lab': ('bench', 'diagnose', 'emulator', 'fleet', 'pipeline', 'report', 'sim'),
@@ -42,7 +42,7 @@ ROS = {
     *('ament_index_python', 'launch', 'launch_ros'),
     *('diagnostic_msgs', 'geometry_msgs', 'nav_msgs', 'sensor_msgs', 'visualization_msgs'),
 }
-FORKS = {'bench/faults/isolated.py': {'os._exit'}}
+FORKS = dict.fromkeys(('bench/faults/isolated.py', 'workers.py'), {'os._exit'})
 """Modules with a process of their own, which may end it."""
 LIBRARY_HOMES = {
     'argcomplete': ('cli/completion.py',),

@@ -11,8 +11,9 @@ from test_learning import recording, runner
 from test_ranking import ONES, independent
 
 from gyrocal_ros.diagnose.advice import advice
-from gyrocal_ros.diagnose.analysis.examined import MOST_REMEMBERED, examine, remembered
+from gyrocal_ros.diagnose.analysis.examined import examine
 from gyrocal_ros.diagnose.analysis.ranking import best_together, rank
+from gyrocal_ros.diagnose.analysis.runs import MOST_REMEMBERED, remembered
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis

@@ -19,8 +19,9 @@ from gyrocal_ros.bench.eyes import StoredImages, model_of
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.analysis.drift import blind_drift
-from gyrocal_ros.diagnose.analysis.examined import remembered, with_effect
+from gyrocal_ros.diagnose.analysis.examined import with_effect
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.runs import remembered
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import Diagnosis, diagnose
 from gyrocal_ros.diagnose.noise import find_missing

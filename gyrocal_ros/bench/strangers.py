@@ -14,7 +14,7 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import first_seeds, in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.diagnose.analysis.drift import blind_drift
-from gyrocal_ros.diagnose.analysis.examined import remembered
+from gyrocal_ros.diagnose.analysis.runs import remembered
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.laws.learning import learn
 from gyrocal_ros.diagnose.noise import find_missing

@@ -10,8 +10,9 @@ from pathlib import Path
 
 from gyrocal_ros.bag.check import checked_bag
 from gyrocal_ros.cli.figures import add_picture_options, check_pictures
+from gyrocal_ros.cli.numbers import whole_number
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
-from gyrocal_ros.cli.output import print_message, progress
+from gyrocal_ros.cli.output import draw_on_line, print_message, progress
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.ekf.history.run import Run
@@ -21,6 +22,7 @@ from gyrocal_ros.msgs.issues import worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.pipeline.run_filter import Progress
+from gyrocal_ros.workers import Workers, usable_cores, workers
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,8 @@ class BagRuns:
     config: Config
     issues: tuple[tuple[str, str], ...]
     """Severity and text of each issue of the recording."""
+    workers: Workers
+    """The processes that run the filter."""
 
     def calibrate(self, model: SensorModel, candidates: tuple[Effect, ...] = ()) -> Run:
         """Run the filter once.
@@ -38,8 +42,8 @@ class BagRuns:
         Raises:
             GyrocalError: the filter cannot run with this bag or this model.
         """
-        with _progress_bar(f'running with {model.effects[-1].name}', self.source) as report:
-            return calibrate(self.source, self.config, model, report=report, candidates=candidates)
+        run: Run = self.workers.call(model, candidates)
+        return run
 
 
 def add_run_options(parser: argparse.ArgumentParser) -> None:
@@ -51,6 +55,14 @@ def add_run_options(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument('--overwrite', action='store_true', help='write into a folder that is not empty')
     add_picture_options(parser)
+    parser.add_argument(
+        '--jobs',
+        type=whole_number(1),
+        default=usable_cores(),
+        metavar='N',
+        help='runs of the filter at the same time, where they do not need each other (default: one for each '
+        'core); the result does not depend on it',
+    )
     parser.add_argument('--json', action='store_true', help='one JSON object in place of the text')
 
 
@@ -84,7 +96,8 @@ def result_folder(args: argparse.Namespace) -> Iterator[Path | None]:
             yield folder
 
 
-def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> BagRuns:
+@contextmanager
+def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> Iterator[BagRuns]:
     """Check the bag given by the arguments, read it, and track features in its images.
 
     Raises:
@@ -98,7 +111,14 @@ def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> BagRuns:
         preloaded, config = preload(checked.source, config, model, report)
     for issue in worst_per_kind(checked.issues):
         print_message(f'{issue.severity}: {issue}')
-    return BagRuns(preloaded, config, tuple((issue.severity, str(issue)) for issue in checked.issues))
+    issues = tuple((issue.severity, str(issue)) for issue in checked.issues)
+
+    def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
+        with _progress_bar(f'running with {model.effects[-1].name}', preloaded) as report:
+            return calibrate(preloaded, config, model, report=report, candidates=candidates)
+
+    with workers(run, args.jobs, begin=draw_on_line) as processes:
+        yield BagRuns(preloaded, config, issues, processes)
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 
 from gyrocal_ros.cli.bag_runs import BagRuns, add_run_options, open_bag_runs, result_folder
@@ -54,8 +55,7 @@ def run(args: argparse.Namespace) -> None:
     began_s = time.perf_counter()
     load_own_effects(args)
     models = {str(path): load_model(path) for path in args.model} or {'default': load_model(None)}
-    with result_folder(args) as folder:
-        runs = open_bag_runs(args, next(iter(models.values())))
+    with result_folder(args) as folder, open_bag_runs(args, next(iter(models.values()))) as runs:
         comparison = _compare(runs, models)
         if folder is not None:
             # Only a page needs the plotting library.
@@ -74,16 +74,20 @@ def run(args: argparse.Namespace) -> None:
 
 
 def _compare(runs: BagRuns, models: dict[str, SensorModel]) -> Comparison:
-    finished: dict[str, Run] = {}
-    diverged: dict[str, FilterDivergedError] = {}
-    for label, model in models.items():
-        try:
-            finished[label] = runs.calibrate(model)
-        except FilterDivergedError as error:
-            diverged[label] = error
+    tasks = [partial(_run_or_error, runs, model) for model in models.values()]
+    ended = dict(zip(models, runs.workers.side_by_side(tasks), strict=True))
+    finished = {label: run for label, run in ended.items() if isinstance(run, Run)}
+    diverged = {label: error for label, error in ended.items() if isinstance(error, FilterDivergedError)}
     if not finished:
         raise next(iter(diverged.values()))
     return compare(finished, {label: str(error) for label, error in diverged.items()})
+
+
+def _run_or_error(runs: BagRuns, model: SensorModel) -> Run | FilterDivergedError:
+    try:
+        return runs.calibrate(model)
+    except FilterDivergedError as error:
+        return error
 
 
 def as_text(comparison: Comparison) -> Iterator[str]:

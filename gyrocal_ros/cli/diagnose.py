@@ -19,7 +19,7 @@ from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json, table
 from gyrocal_ros.diagnose.advice import advice, grouped, join, twins_in_words
 from gyrocal_ros.diagnose.analysis.drift import REFERENCES
-from gyrocal_ros.diagnose.analysis.examined import remembered
+from gyrocal_ros.diagnose.analysis.runs import remembered
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis, MissingEffect, diagnose
 from gyrocal_ros.diagnose.json_summary import summarise_diagnosis
@@ -55,9 +55,8 @@ def run(args: argparse.Namespace) -> None:
     """
     began_s = time.perf_counter()
     model = read_model(args)
-    with result_folder(args) as folder:
-        runs = open_bag_runs(args, model)
-        recorded, calibrate = summarise_recording(runs.source), remembered(runs.calibrate)
+    with result_folder(args) as folder, open_bag_runs(args, model) as runs:
+        recorded, calibrate = summarise_recording(runs.source), remembered(runs.calibrate, runs.workers)
         searched = name_unknown(find_missing(model, recorded, calibrate), recorded, calibrate)
         diagnosis = diagnose(searched, recorded)
         if folder is not None:

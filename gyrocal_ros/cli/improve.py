@@ -21,7 +21,7 @@ from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.options import complete_with
 from gyrocal_ros.cli.output import print_json, print_message, table
 from gyrocal_ros.diagnose.analysis.drift import REFERENCES
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, remembered
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, remembered
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.json_summary import nis_per_dof, summarise_improvement
 from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, summarise_laws
@@ -75,9 +75,9 @@ def run(args: argparse.Namespace) -> None:
     began_s = time.perf_counter()
     model = read_model(args)
     effect = _requested_effect(args.effect, model)
-    with result_folder(args) as folder:
-        runs = open_bag_runs(args, model)
-        recorded, calibrate = summarise_recording(runs.source), remembered(announced(runs))
+    with result_folder(args) as folder, open_bag_runs(args, model) as runs:
+        recorded = summarise_recording(runs.source)
+        calibrate = remembered(announced(runs), runs.workers)
         laws: list[LearnedLaw] = []
         if effect is None:
             searched = find_missing(model, recorded, calibrate)

@@ -20,7 +20,8 @@ from gyrocal_ros.cli.figures import draw_if_requested, print_if_requested
 from gyrocal_ros.cli.improve import announced, as_text, files_as_text, laws_as_text
 from gyrocal_ros.cli.model_options import add_model_options, read_model
 from gyrocal_ros.cli.output import print_json
-from gyrocal_ros.diagnose.analysis.examined import examine, remembered
+from gyrocal_ros.diagnose.analysis.examined import examine
+from gyrocal_ros.diagnose.analysis.runs import remembered
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.json_summary import summarise_improvement
 from gyrocal_ros.diagnose.laws.hypotheses import law_names
@@ -75,9 +76,9 @@ def run(args: argparse.Namespace) -> None:
         raise ConfigError(
             'exists already', where=str(args.as_effect), todo='name another file or --overwrite'
         )
-    with result_folder(args) as folder:
-        runs = open_bag_runs(args, model)
-        recorded, calibrate = summarise_recording(runs.source), remembered(announced(runs))
+    with result_folder(args) as folder, open_bag_runs(args, model) as runs:
+        recorded = summarise_recording(runs.source)
+        calibrate = remembered(announced(runs), runs.workers)
         only = requested(args, law_names(recorded.ranges))
         if only:
             searched = Search(examine(model, recorded, calibrate), ())

@@ -11,6 +11,16 @@ from tqdm import tqdm
 
 from gyrocal_ros.files import json_text
 
+_line = 0
+"""Line below the cursor on which this process draws its progress bars."""
+tqdm.monitor_interval = 0  # no thread beside, so that processes can be forked
+
+
+def draw_on_line(number: int) -> None:
+    """Draw the progress bars of this process on a line of their own, beside those of other processes."""
+    global _line
+    _line = number
+
 
 def progress(
     label: str, items: Iterable[Any] = (), *, total: float | None = None, unit: str = 'it'
@@ -31,6 +41,7 @@ def progress(
         total=total,
         unit=unit,
         delay=2.0,
+        position=_line or None,
         leave=False,
         disable=not sys.stderr.isatty(),
     )

@@ -6,14 +6,16 @@ import math
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from gyrocal_ros.diagnose.analysis.drift import better_sigma, drift_of_both, drift_of_both_deg
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, wider_model
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, wider_model
 from gyrocal_ros.diagnose.analysis.heading_filter import heading_log_likelihood
 from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.analysis.summarise import scatter_in_turns, walk_of_means, white_noise
 from gyrocal_ros.diagnose.laws.learning import is_missing_something, likeliest_law
@@ -145,10 +147,12 @@ def _effects_or_noise(
         return eliminate(found, recording, calibrate)
     if is_missing_something(found.last):
         found = explained_by_several(found, recording, calibrate)
-    instead = or_noise(found, recording, calibrate, most)
-    if not found.kept:
+    starts = [found, Search(found.last, ())] if found.kept else [found]
+    tasks = [partial(or_noise, start, recording, calibrate, most) for start in starts]
+    instead, *rest = side_by_side(calibrate, tasks)
+    if not rest:
         return eliminate(instead, recording, calibrate)
-    noise = or_noise(Search(found.last, ()), recording, calibrate, most)
+    (noise,) = rest
     beside = replace(found, additions=(*found.additions, *noise.additions))
     beside = eliminate(beside, recording, calibrate)
     if instead is found:

@@ -10,10 +10,11 @@ from itertools import combinations
 import numpy as np
 
 from gyrocal_ros.diagnose.analysis import shapes
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, unusual_noises, without_effect
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, unusual_noises, without_effect
 from gyrocal_ros.diagnose.analysis.heading_filter import heading_log_likelihood, headings
 from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.analysis.shapes import ErrorShape, UnexplainedStructure, unexplained_structure
 from gyrocal_ros.diagnose.laws.closed_forms import learned_curve
 from gyrocal_ros.diagnose.laws.learning import MIN_GAIN, is_missing_something, likeliest_law

@@ -10,9 +10,10 @@ from itertools import count
 import numpy as np
 
 from gyrocal_ros.diagnose.analysis.drift import reference_heading
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine
 from gyrocal_ros.diagnose.analysis.heading_filter import headings
 from gyrocal_ros.diagnose.analysis.ranking import best_explanation
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.analysis.shapes import shapes
 from gyrocal_ros.diagnose.analysis.validation import validate
 from gyrocal_ros.diagnose.analysis.wander import wander

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.analysis.candidates import candidates_for, with_disturbances
@@ -14,6 +12,7 @@ from gyrocal_ros.diagnose.analysis.heading_filter import Headings, headings
 from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.analysis.ranking import RankedEffect, rank, with_estimate, without_disturbed
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure, confirmed, unexplained_structure
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.effects.traits import is_noise, is_unusual
@@ -24,11 +23,6 @@ from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
-
-Calibrate = Callable[[SensorModel, tuple[Effect, ...]], Run]
-"""Runs the filter with a model and with candidate effects."""
-MOST_REMEMBERED = 16
-"""Number of runs that are remembered."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -61,29 +55,6 @@ class ExaminedModel:
         inflation = scatter_of(self.run)[0].inflation[1:]
         stds = self.run.history.std[-1, COEFFICIENTS_START:] * inflation
         return self.run.state.coefficients[places], stds[places]
-
-
-def remembered(calibrate: Calibrate) -> Calibrate:
-    """Return a function that does not repeat one of the latest runs.
-
-    A search comes back to the same model: to an effect that a run has rejected, or to the law that is
-    likeliest in place of a noise. The number of a revision makes no difference to a run.
-    """
-    run = lru_cache(MOST_REMEMBERED)(calibrate)
-
-    def run_or_remember(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:
-        key = replace(model, version=0), candidates
-        return replace(run(*key), model=model) if _have_hash(key) else calibrate(model, candidates)
-
-    return run_or_remember
-
-
-def _have_hash(key: object) -> bool:
-    """Return False for an effect of one's own that is no frozen dataclass: it may have changed."""
-    with suppress(TypeError):
-        hash(key)
-        return True
-    return False
 
 
 def examine(

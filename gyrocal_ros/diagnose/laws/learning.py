@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from functools import partial
 
 from gyrocal_ros.diagnose.analysis.drift import (
     better_sigma,
@@ -14,7 +15,6 @@ from gyrocal_ros.diagnose.analysis.drift import (
     reference_heading,
 )
 from gyrocal_ros.diagnose.analysis.examined import (
-    Calibrate,
     ExaminedModel,
     contradicts,
     examine,
@@ -22,6 +22,7 @@ from gyrocal_ros.diagnose.analysis.examined import (
     with_effect,
 )
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.diagnose.laws.hypotheses import (
     Law,
     RankedLaw,
@@ -114,13 +115,16 @@ def learn(
 def _learned(
     searched: Search, recording: RecordingSummary, calibrate: Calibrate, only: Sequence[str], most: int
 ) -> Learned:
-    last, ranked = _learned_beside(searched.last, recording, calibrate, only, most)
+    is_doubtful = searched.kept and searched.kept[0].before is not None and not only
+    starts = [searched.last, searched.first] if is_doubtful else [searched.last]
+    tasks = [partial(_learned_beside, start, recording, calibrate, only, most) for start in starts]
+    (last, ranked), *rest = side_by_side(calibrate, tasks)
     wider = replace(searched, additions=(*searched.additions, *last))
     kept = without_harm(eliminate(wider, recording, calibrate), recording, calibrate)
     found = Learned(kept, tuple(ranked))
-    if not searched.kept or searched.kept[0].before is None or only:
+    if not rest:
         return found
-    first, ranked = _learned_beside(searched.first, recording, calibrate, only, most)
+    first, ranked = rest[0]
     given_up = tuple(item.effect.name for item in searched.kept)
     alone = Learned(Search(searched.first, tuple(first)), tuple(ranked), given_up)
     return alone if _is_better(alone.searched, found.searched) else found
@@ -223,18 +227,25 @@ def _rivals(
     """Run the filter with each of the likeliest laws."""
     if not ranked or ranked[0].gain < MIN_GAIN:
         return []
-    additions = []
-    for law in _contenders(present, ranked, calibrate):
-        with suppress(*CANNOT_RUN):
-            after = examine(with_effect(present.model, law.effect), recording, calibrate, present.settings)
-            additions.append(_judged(replace(addition(present, after), gain=law.gain)))
-    return additions
+    contenders = _contenders(present, ranked, calibrate)
+    tasks = [partial(_with_law, present, law, recording, calibrate) for law in contenders]
+    return [added for added in side_by_side(calibrate, tasks) if added is not None]
+
+
+def _with_law(
+    present: ExaminedModel, law: RankedLaw, recording: RecordingSummary, calibrate: Calibrate
+) -> Addition | None:
+    with suppress(*CANNOT_RUN):
+        after = examine(with_effect(present.model, law.effect), recording, calibrate, present.settings)
+        return _judged(replace(addition(present, after), gain=law.gain))
+    return None
 
 
 def _contenders(present: ExaminedModel, ranked: Sequence[RankedLaw], calibrate: Calibrate) -> list[RankedLaw]:
     """Return the likeliest laws, steps at their best moments."""
     likely = [item for item in ranked if item.gain > COARSE_PART * ranked[0].gain]
-    finest = sorted((_at_the_moment(present, law, calibrate) for law in likely), key=lambda law: -law.gain)
+    tasks = [partial(_at_the_moment, present, law, calibrate) for law in likely]
+    finest = sorted(side_by_side(calibrate, tasks), key=lambda law: -law.gain)
     return [item for item in finest if item.gain > RIVAL_PART * finest[0].gain][:MAX_RIVALS]
 
 

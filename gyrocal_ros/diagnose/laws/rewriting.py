@@ -14,13 +14,8 @@ from typing import ClassVar
 import numpy as np
 
 from gyrocal_ros.data import Array, MotionBlock
-from gyrocal_ros.diagnose.analysis.examined import (
-    Calibrate,
-    ExaminedModel,
-    examine,
-    with_effect,
-    without_effect,
-)
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, with_effect, without_effect
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.laws.learned_laws import LearnedLaw, learned_laws
 from gyrocal_ros.diagnose.search.additions import Addition, Search
 from gyrocal_ros.effects.learned.bump import Bump

@@ -7,14 +7,14 @@ others, it is taken, and with it in the model the two are not found any more.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.diagnose.search.additions import Addition, Search
 from gyrocal_ros.diagnose.search.elimination import without_addition
 from gyrocal_ros.diagnose.search.look_alikes import look_alikes
@@ -41,33 +41,36 @@ def best_alternative(found: Search, recording: RecordingSummary, calibrate: Cali
         most: number of effects to try.
     """
     confused = look_alikes(found) if len(found.kept) > 1 else {}
+    doubtful = [
+        (item, other)
+        for item in found.kept
+        if ((other := _displacing(found, item)) or confused.get(item.effect.name)) and item.before is not None
+    ]
+    tasks = [partial(_without, found, *pair, recording, calibrate, most) for pair in doubtful]
     best = found
-    for item in found.kept:
-        other = _displacing(found, item)
-        if item.before is None or not (other or confused.get(item.effect.name)):
-            continue
-        additions = [*found.additions[: found.additions.index(item)]]
-        if other is not None:
-            with suppress(*CANNOT_RUN):
-                additions.append(with_one_more(item.before, other, recording, calibrate))
-        changed = replace(found, additions=tuple(_without(item, additions, recording, calibrate, most)))
+    for changed in side_by_side(calibrate, tasks):
         if _advantage(best, changed) > found.first.settings.min_predictive_gain:
             best = changed
     return best
 
 
 def _without(
+    found: Search,
     item: Addition,
-    additions: Sequence[Addition],
+    other: Effect | None,
     recording: RecordingSummary,
     calibrate: Calibrate,
     most: int,
-) -> list[Addition]:
-    """Continue a search from additions, of which the last may take the place of another one."""
+) -> Search:
+    """Search again from before an addition, without it; another effect may take its place."""
     assert item.before is not None
-    kept = [added.after for added in additions if added.is_kept]
-    present = max([item.before, *kept], key=lambda examined: examined.model.version)
-    return continued(additions, present, recording, calibrate, most, frozenset([item.effect.name]))
+    additions, present = [*found.additions[: found.additions.index(item)]], item.before
+    if other is not None:
+        with suppress(*CANNOT_RUN):
+            additions.append(with_one_more(present, other, recording, calibrate))
+            present = additions[-1].after if additions[-1].is_kept else present
+    without = frozenset([item.effect.name])
+    return replace(found, additions=tuple(continued(additions, present, recording, calibrate, most, without)))
 
 
 def _displacing(found: Search, item: Addition) -> Effect | None:

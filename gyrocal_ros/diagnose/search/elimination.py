@@ -6,8 +6,9 @@ import math
 from dataclasses import replace
 
 from gyrocal_ros.diagnose.analysis.drift import drift_of_both, drift_of_both_deg, drifts_more
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, without_effect
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, without_effect
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.search.additions import Addition, Removal, Search
 from gyrocal_ros.diagnose.search.noise_fit import fit_noises, with_noise
 from gyrocal_ros.effects.traits import is_noise

@@ -4,15 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
+from functools import partial
 from operator import itemgetter
 
 import numpy as np
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, contradicts, examine, with_effect
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, contradicts, examine, with_effect
 from gyrocal_ros.diagnose.analysis.limits import Competition, LimitProposal, detected_limits, propose_limits
 from gyrocal_ros.diagnose.analysis.model_fit import excess_nis
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.analysis.ranking import RankedEffect
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.diagnose.search.additions import NONE, Addition
 from gyrocal_ros.diagnose.search.limit_sizes import best_size, possible_sizes
 from gyrocal_ros.diagnose.search.timing import timing_fault
@@ -48,8 +50,8 @@ def tried_limits(
     present: ExaminedModel, limits: Sequence[Effect], recording: RecordingSummary, calibrate: Calibrate
 ) -> list[tuple[Effect, float]]:
     """Return limits as `tried_limit` does, the one that gains most first."""
-    tried = [tried_limit(present, limit, recording, calibrate) for limit in limits]
-    return sorted(tried, key=itemgetter(1), reverse=True)
+    tasks = [partial(tried_limit, present, limit, recording, calibrate) for limit in limits]
+    return sorted(side_by_side(calibrate, tasks), key=itemgetter(1), reverse=True)
 
 
 def with_limit(

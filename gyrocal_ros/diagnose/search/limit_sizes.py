@@ -6,9 +6,11 @@ import math
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from functools import partial
 from operator import itemgetter
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, gain_of_run, with_effect
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, gain_of_run, with_effect
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import GyroReadings, RecordingSummary
 from gyrocal_ros.model.sensor import Effect, LimitEffect, SensorModel, with_means
@@ -62,7 +64,8 @@ def best_size(
         The limit, and the predictive log-likelihood that it gains; minus infinity where no run is possible.
     """
     limits = [with_means(limit, (size,)) for size in sizes]
-    gains = [gain_of_run(present, _with_limit(present.model, item), calibrate) for item in limits]
+    models = [_with_limit(present.model, item) for item in limits]
+    gains = side_by_side(calibrate, [partial(gain_of_run, present, model, calibrate) for model in models])
     return max(zip(limits, gains, strict=True), key=itemgetter(1), default=(limit, -math.inf))
 
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, with_effect
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.analysis.heading_filter import Headings, heading_log_likelihood
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.search.additions import NONE, Addition
 from gyrocal_ros.effects import EFFECTS
 from gyrocal_ros.effects.traits import follows_signal, is_bias_walk, is_noise

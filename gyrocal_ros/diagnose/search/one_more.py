@@ -8,15 +8,16 @@ the forms of an effect.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import replace
 from functools import cache, partial
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, gain_of_run, wider_model
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, gain_of_run, wider_model
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.diagnose.search.additions import Addition, addition
 from gyrocal_ros.effects.traits import forms_of, scanned_coefficient
-from gyrocal_ros.errors import FilterDivergedError
+from gyrocal_ros.errors import CANNOT_RUN, FilterDivergedError
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect, SensorModel
 
@@ -56,6 +57,20 @@ def with_one_more(
     return addition(present, examine(likeliest, recording, calibrate, settings))
 
 
+def each_one_more(
+    present: ExaminedModel, effects: Iterable[Effect], recording: RecordingSummary, calibrate: Calibrate
+) -> list[Addition]:
+    """Run the filter with one more effect, for each of some; those with which it cannot run are left out."""
+
+    def added(effect: Effect) -> Addition | None:
+        with suppress(*CANNOT_RUN):
+            return with_one_more(present, effect, recording, calibrate)
+        return None
+
+    tried = side_by_side(calibrate, [partial(added, effect) for effect in effects])
+    return [item for item in tried if item is not None]
+
+
 def _from_likeliest(
     wider: SensorModel, place: int, present: ExaminedModel, calibrate: Calibrate
 ) -> SensorModel:
@@ -76,7 +91,9 @@ def _from_likeliest(
         value = item.prior_mean * STEP**step
         return gain_of_run(present, _starting(models[form], place, value, KNOWN_PART * value), calibrate)
 
-    form = max(range(len(models)), key=lambda form: gain(form, 0))
+    gains = side_by_side(calibrate, [partial(gain, form, 0) for form in range(len(models))])
+    form = gains.index(max(gains))
+    side_by_side(calibrate, [partial(gain, form, step) for step in (-1, 1)])
     step, std = _maximum(partial(gain, form))
     if not math.isfinite(step):
         return wider

@@ -5,12 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from contextlib import suppress
+from functools import partial
 
 import numpy as np
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, examine, with_effect
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, examine, with_effect
 from gyrocal_ros.diagnose.analysis.late_images import late_images
 from gyrocal_ros.diagnose.analysis.limits import detected_limits
+from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.diagnose.search.additions import Addition
 from gyrocal_ros.diagnose.settings import DEFAULT_SETTINGS, DiagnosisSettings
 from gyrocal_ros.effects import EFFECTS
@@ -94,20 +96,24 @@ def _recover(
     """
     present = {effect.name for effect in model.effects}
     others = [item for item in EFFECTS.values() if may_break_the_filter(item) and not is_limit(item)]
-    found: list[tuple[bool, float, Effect]] = []
-    for effect in [*detected_limits(model, recording.readings), *others, *_walks()]:
-        if effect.name in present:
-            continue
-        with suppress(*CANNOT_RUN):
-            run = calibrate(with_effect(model, effect), ())
-            history, k = run.history, len(effect.coefficients)
-            impossible = has_impossible_sign(effect, run.state.coefficients[-k:], history.std[-1, -k:])
-            likelihood = float(history.log_likelihood.sum() / history.dof.sum())
-            found.append((not impossible, likelihood, effect))
-    if not found:
+    effects = [*detected_limits(model, recording.readings), *others, *_walks()]
+    missing = [effect for effect in effects if effect.name not in present]
+    found = side_by_side(calibrate, [partial(_with_it, effect, model, calibrate) for effect in missing])
+    runs = [(*merit, effect) for merit, effect in zip(found, missing, strict=True) if merit is not None]
+    if not runs:
         return None
-    *_, best = max(found, key=lambda item: item[:2])
+    *_, best = max(runs, key=lambda item: item[:2])
     return _recovered_with(best, model, recording, calibrate, settings)
+
+
+def _with_it(effect: Effect, model: SensorModel, calibrate: Calibrate) -> tuple[bool, float] | None:
+    """Return whether an effect has a possible sign, and the log-likelihood of a measurement; or no run."""
+    with suppress(*CANNOT_RUN):
+        run = calibrate(with_effect(model, effect), ())
+        history, k = run.history, len(effect.coefficients)
+        impossible = has_impossible_sign(effect, run.state.coefficients[-k:], history.std[-1, -k:])
+        return not impossible, float(history.log_likelihood.sum() / history.dof.sum())
+    return None
 
 
 def _walks() -> Iterator[Effect]:

@@ -10,12 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gyrocal_ros.diagnose.analysis.examined import (
-    Calibrate,
-    ExaminedModel,
-    coefficient_places,
-    examine,
-)
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, coefficient_places, examine
 from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.analysis.ranking import (
@@ -24,6 +19,7 @@ from gyrocal_ros.diagnose.analysis.ranking import (
     explained_together,
     indistinguishable,
 )
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.analysis.shapes import unexplained_structure
 from gyrocal_ros.diagnose.search.additions import (
     IMPOSSIBLE_SIGN,
@@ -41,7 +37,7 @@ from gyrocal_ros.diagnose.search.limit_runs import (
 )
 from gyrocal_ros.diagnose.search.limit_sizes import resized
 from gyrocal_ros.diagnose.search.noise_fit import unless_a_walk_explains
-from gyrocal_ros.diagnose.search.one_more import with_one_more
+from gyrocal_ros.diagnose.search.one_more import each_one_more, with_one_more
 from gyrocal_ros.diagnose.search.recovery import first_run
 from gyrocal_ros.diagnose.search.thermometer import or_by_temperature
 from gyrocal_ros.diagnose.search.timing import timing_fault
@@ -334,13 +330,10 @@ def _contested(
     if last.before is None:
         return last
     settings = last.before.settings
-    additions = [last]
     excluded = {last.effect.name} if last.is_impossible else tried
     part = NEARLY if last.is_impossible else math.inf
-    for rival in _rivals(last.before, last.effect.name, excluded, part):
-        with suppress(*CANNOT_RUN):
-            additions.append(with_one_more(last.before, rival.effect, recording, calibrate))
-
+    rivals = [item.effect for item in _rivals(last.before, last.effect.name, excluded, part)]
+    additions = [last, *each_one_more(last.before, rivals, recording, calibrate)]
     best, best_gain = last, settings.min_predictive_gain
     for item in additions[1:]:
         gains = predictive_gain(last.after.run, item.after.run)

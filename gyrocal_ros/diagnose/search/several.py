@@ -11,9 +11,10 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import product
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, contradicts
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, contradicts
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.analysis.ranking import Together, best_together
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.search.additions import Addition, Search
 from gyrocal_ros.diagnose.search.elimination import eliminate
 from gyrocal_ros.diagnose.search.noise_fit import a_walk_explains

@@ -9,8 +9,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable
 from contextlib import suppress
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.search.additions import Addition
 from gyrocal_ros.diagnose.search.one_more import with_one_more
 from gyrocal_ros.effects.traits import are_twins, follows_power_on, follows_temperature

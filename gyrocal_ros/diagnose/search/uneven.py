@@ -9,8 +9,9 @@ from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
-from gyrocal_ros.diagnose.analysis.examined import Calibrate, ExaminedModel, contradicts
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, contradicts
 from gyrocal_ros.diagnose.analysis.ranking import MUCH_MORE, RankedEffect, estimate
+from gyrocal_ros.diagnose.analysis.runs import Calibrate
 from gyrocal_ros.diagnose.search.additions import Addition
 from gyrocal_ros.diagnose.search.one_more import with_one_more
 from gyrocal_ros.diagnose.settings import DiagnosisSettings

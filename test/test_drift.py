@@ -15,16 +15,14 @@ from gyrocal_ros.diagnose.analysis.drift import (
     SEEN_S,
     STRIDE_S,
     BlindDrift,
-    Heading,
     better_sigma,
     blind_drift,
     dead_reckoning,
     heading_rms_deg,
     held_out_from_s,
-    slam_path,
-    truth_path,
     turns,
 )
+from gyrocal_ros.diagnose.analysis.paths import Heading, slam_path, truth_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.state.layout import YAW, YAW_BIAS

@@ -16,8 +16,8 @@ from synthetic import DT_S, TOP_DEG_S, Drive, drive, turning_rad_s
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
 from gyrocal_ros.diagnose.analysis.candidate_fit import fit
-from gyrocal_ros.diagnose.analysis.drift import truth_path
 from gyrocal_ros.diagnose.analysis.heading_filter import heading_scores, headings, misfits
+from gyrocal_ros.diagnose.analysis.paths import truth_path
 from gyrocal_ros.diagnose.analysis.regimes import Failure, failures
 from gyrocal_ros.diagnose.analysis.shapes import (
     HEADING,

@@ -11,8 +11,9 @@ import pytest
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, FeatureObservations, Measurement, TruthSample
-from gyrocal_ros.diagnose.analysis.drift import blind_drift, slam_path
+from gyrocal_ros.diagnose.analysis.drift import blind_drift
 from gyrocal_ros.diagnose.analysis.model_fit import model_fit
+from gyrocal_ros.diagnose.analysis.paths import slam_path
 from gyrocal_ros.diagnose.analysis.runs import remembered
 from gyrocal_ros.diagnose.analysis.summarise import summarise_recording
 from gyrocal_ros.diagnose.diagnosis import diagnose

@@ -11,14 +11,8 @@ from synthetic import drive
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import nanoseconds
-from gyrocal_ros.diagnose.analysis.drift import BlindDrift, blind_drift, held_out_from_s
-from gyrocal_ros.diagnose.analysis.model_fit import (
-    UNSEEN,
-    ModelFit,
-    count_gaps,
-    drift_by_noise_deg,
-    model_fit,
-)
+from gyrocal_ros.diagnose.analysis.drift import BlindDrift, blind_drift, drift_by_noise_deg, held_out_from_s
+from gyrocal_ros.diagnose.analysis.model_fit import UNSEEN, ModelFit, count_gaps, model_fit
 from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects import default_model, find_effect
 from gyrocal_ros.ekf.history.run import Run, RunEvent

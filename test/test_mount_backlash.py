@@ -12,7 +12,7 @@ from recordings import recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.analysis.model_fit import turn_against_body_rad
+from gyrocal_ros.diagnose.analysis.drift import turn_against_body_rad
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.effects.mount_backlash import MountBacklash
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START

@@ -11,7 +11,8 @@ import numpy as np
 from gyrocal_ros.bench.accuracy import in_parallel
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.analysis.drift import Trajectory2D, dead_reckoning, slam_path
+from gyrocal_ros.diagnose.analysis.drift import dead_reckoning
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D, slam_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.state.layout import YAW_BIAS

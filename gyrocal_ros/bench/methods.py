@@ -22,7 +22,8 @@ from gyrocal_ros.bench.camera_off import TEN_MINUTES_S, accumulated_drift, rotat
 from gyrocal_ros.bench.naive import bias_at_rest, fit_to_wheels, spins_against_wall
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.analysis.drift import Trajectory2D, dead_reckoning, slam_path
+from gyrocal_ros.diagnose.analysis.drift import dead_reckoning
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D, slam_path
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START
 from gyrocal_ros.errors import FilterDivergedError

@@ -21,6 +21,7 @@ from gyrocal_ros.diagnose.advice import (
 )
 from gyrocal_ros.diagnose.analysis.comparison import Comparison
 from gyrocal_ros.diagnose.analysis.drift import SPAN_S, held_out_from_s
+from gyrocal_ros.diagnose.analysis.ground_truth import truth_fault
 from gyrocal_ros.diagnose.analysis.model_fit import ModelFit, model_fit
 from gyrocal_ros.diagnose.analysis.shapes import UnexplainedStructure
 from gyrocal_ros.diagnose.diagnosis import BY_YAW, Diagnosis
@@ -146,8 +147,9 @@ def calibration_status(calibration: Calibration, run: Run, fit: ModelFit) -> Sta
         side = 'right' if left_deg > right_deg else 'left'
         sentence += f', but the robot hardly turned to the {side}, so that an asymmetry cannot show.'
         return Status('yellow', sentence, f'Record turns to the {side}, too.')
-    if fault:
-        return Status('yellow', f'{sentence}, but {fault}.', remedy)
+    wrong, mend = (fault, remedy) if fault else truth_fault(run)
+    if wrong:
+        return Status('yellow', f'{sentence}, but {wrong}.', mend)
     if (walk := run.history.bias_walk[-1]) >= MUCH_WALK:
         return Status('yellow', f'{sentence}, but {walks_more(walk)}.', DIAGNOSE)
     is_large = fit.drift_deg > LARGE_DRIFT_DEG

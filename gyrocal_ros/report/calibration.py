@@ -11,15 +11,13 @@ from gyrocal_ros.config.declare import to_yaml
 from gyrocal_ros.diagnose.analysis.drift import (
     REFERENCES,
     BlindDrift,
-    Trajectory2D,
     blind_drift,
     calibrated_from_s,
     dead_reckoning,
     heading_error,
-    slam_path,
-    truth_path,
 )
 from gyrocal_ros.diagnose.analysis.model_fit import ModelFit, model_fit
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D, slam_path, truth_path
 from gyrocal_ros.diagnose.series.run_series import CONFIDENCE, distances_m, uncorrected, windows
 from gyrocal_ros.diagnose.status import calibration_status
 from gyrocal_ros.effects.base import shown_in

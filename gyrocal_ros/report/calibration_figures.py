@@ -9,7 +9,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.analysis.drift import HeadingError, Trajectory2D
+from gyrocal_ros.diagnose.analysis.drift import HeadingError
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D
 from gyrocal_ros.diagnose.series.run_series import CONFIDENCE, Windows
 from gyrocal_ros.effects.base import shown_in
 from gyrocal_ros.ekf.history.run import History, Run

@@ -11,7 +11,7 @@ from plotly.subplots import make_subplots
 
 from gyrocal_ros import __version__
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.analysis.drift import Trajectory2D
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D
 from gyrocal_ros.ekf.state.map import CeilingMap
 from gyrocal_ros.report import calibration_figures
 from gyrocal_ros.report.html import FIGURE_HELP, Section, document, gallery, table

@@ -10,7 +10,7 @@ import numpy as np
 from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.analysis.drift import Trajectory2D, slam_path
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D, slam_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.ekf.state.map import CeilingMap, ceiling_map
 from gyrocal_ros.pipeline.calibrate import calibrate

@@ -16,7 +16,7 @@ from gyrocal_ros.bench.paper.experiment import Claim, Mapper, assess
 from gyrocal_ros.bench.paper.without_camera import NOMINAL_ERROR
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.analysis.drift import Trajectory2D, slam_path
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D, slam_path
 from gyrocal_ros.effects import default_model
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.scenarios import Scenario, find_scenario

@@ -15,9 +15,9 @@ from gyrocal_ros.diagnose.analysis.drift import (
     heading_rms_deg,
     held_out_from_s,
     reference_heading,
-    truth_heading,
 )
 from gyrocal_ros.diagnose.analysis.heading_filter import Headings, headings
+from gyrocal_ros.diagnose.analysis.paths import truth_heading
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.analysis.regimes import Failure, failures
 from gyrocal_ros.ekf.history.run import Run

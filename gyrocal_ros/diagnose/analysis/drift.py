@@ -8,10 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import Array
-from gyrocal_ros.ekf.history.run import GroundTruth, History, Run
+from gyrocal_ros.diagnose.analysis.paths import Heading, Trajectory2D, slam_path, truth_heading
+from gyrocal_ros.ekf.history.run import History, Run
 from gyrocal_ros.ekf.history.turn_agreement import knocked_steps
-from gyrocal_ros.ekf.state.layout import YAW, YAW_BIAS
+from gyrocal_ros.ekf.noise.process_noise import yaw_noise_of
+from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START, YAW, YAW_BIAS
 from gyrocal_ros.model.planar import planar_trajectory
+from gyrocal_ros.model.sensor import MovesAgainstBody
 from gyrocal_ros.statistics import chi_square_quantile, trigamma
 
 TRUTH = 'ground truth'
@@ -35,6 +38,8 @@ MIN_INDEPENDENT = 2.0
 MORE_SIGMA = 0.5
 """Rise of the held-out drift with a noise from which the noise is left out. In recordings of five minutes a
 true random walk of the bias has at most 0.4, a bias that jumps to and fro 0.4 to 1.8."""
+MAX_DRIFT_RATIO = 4.0
+"""Largest blind drift, relative to what noise explains, of a model that fits."""
 TAIL = 0.05
 """Probability beyond each end of an interval."""
 
@@ -84,72 +89,26 @@ class BlindDrift:
         return self.rms_deg / math.sqrt(most), high
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Heading:
-    """Heading over time, by one source."""
-
-    time_s: Array
-    yaw_rad: Array
-    """(n,) unwrapped."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trajectory2D:
-    """Position and heading over time, by one source."""
-
-    time_s: Array
-    position_m: Array
-    """(n, 2)"""
-    yaw_rad: Array
-    """(n,) unwrapped."""
-
-
-def slam_path(run: Run) -> Trajectory2D:
-    """Return the trajectory by the filter."""
-    history = run.history
-    return Trajectory2D(history.time_s, history.mean[:, :2], history.mean[:, YAW])
-
-
-def truth_path(run: Run) -> Trajectory2D | None:
-    """Return the ground truth, aligned to the map's frame at the first common moment."""
-    heading, truth = truth_heading(run), run.truth
-    if heading is None or truth is None:
-        return None
-    slam, time_s = slam_path(run), heading.time_s
-    common = _common(truth, slam)
-    position, turn = truth.position_m[common], heading.yaw_rad[0] - truth.yaw_rad[common][0]
-    at_first = [np.interp(time_s[0], slam.time_s, column) for column in slam.position_m.T]
-    c, s = np.cos(turn), np.sin(turn)
-    moved = (position - position[0]) @ np.array([[c, s], [-s, c]]) + at_first
-    return Trajectory2D(time_s, moved, heading.yaw_rad)
-
-
-def truth_heading(run: Run) -> Heading | None:
-    """Return the heading by the ground truth, aligned to the map's frame at the first common moment."""
-    if run.truth is None:
-        return None
-    slam = slam_path(run)
-    common = _common(run.truth, slam)
-    time_s, yaw = run.truth.time_s[common], run.truth.yaw_rad[common]
-    if len(time_s) < 2:
-        return None
-    turn = np.interp(time_s[0], slam.time_s, slam.yaw_rad) - yaw[0]
-    return Heading(time_s, yaw + turn)
-
-
-def _common(truth: GroundTruth, slam: Trajectory2D) -> slice:
-    """Return the rows of the ground truth within the time of a trajectory; they are in order."""
-    first_s, last_s = slam.time_s[[0, -1]]
-    return slice(truth.time_s.searchsorted(first_s), truth.time_s.searchsorted(last_s, 'right'))
-
-
 def reference_heading(run: Run) -> tuple[Heading, str]:
-    """Return the heading to compare with, and its name in `REFERENCES`."""
-    truth = truth_heading(run)
-    if truth is not None:
-        return truth, TRUTH
-    slam = slam_path(run)
-    return Heading(slam.time_s, slam.yaw_rad), 'slam' if run.rig.camera is not None else 'heading reference'
+    """Return the heading to compare with, and its name in `REFERENCES`: ground truth that can be right.
+
+    It has witnesses against it where the gyro, with nothing fitted, drifts away from it and not from the map.
+    """
+    truth, slam = truth_heading(run), slam_path(run)
+    own = Heading(slam.time_s, slam.yaw_rad), 'slam' if run.rig.camera is not None else 'heading reference'
+    if truth is None or is_contradicted((truth, TRUTH), own, run):
+        return own
+    return truth, TRUTH
+
+
+def is_contradicted(truth: tuple[Heading, str], own: tuple[Heading, str], run: Run) -> bool:
+    """Return True if the gyro drifts from the ground truth far more than from the run's own heading."""
+    from_s = held_out_from_s(run)
+    by_truth, by_own = (blind_drift(run, reference, from_s) for reference in (truth, own))
+    if not (len(by_truth.error_rad) and len(by_own.error_rad)):
+        return False
+    explained_deg = max(by_own.rms_deg, drift_by_noise_deg(run, by_truth))
+    return by_truth.rms_deg > MAX_DRIFT_RATIO * explained_deg
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -249,6 +208,61 @@ def blind_drift(
     by_gyro += bias * (gyro_valid_s[last] - gyro_valid_s[first])
     heading = np.interp(time_s, compared.time_s, compared.yaw_rad)
     return BlindDrift(span_s, start_s, by_gyro - (heading[last] - heading[first]), name, unseen)
+
+
+def drift_by_noise_deg(run: Run, drift: BlindDrift) -> float:
+    """Return the rms blind drift that noise explains; NaN where there is no span.
+
+    It adds the headings at both ends, the white noise and the bias walk of the gyro, turns that it could not
+    read, the uncertainty of bias and coefficients at the beginning of each span, and turns of the camera
+    against the robot. A bias that walks by more than the settings say is no such noise: an effect may be
+    behind it.
+    """
+    history = run.history
+    noise = yaw_noise_of(run.model, run.config.gyro, history.turn_rad / history.dt_s)
+    moving = history.resting == 0
+    first = np.searchsorted(history.time_s, drift.start_s)
+    last = np.searchsorted(history.time_s, drift.start_s + drift.span_s)
+    valid_s = np.cumsum(np.where(moving, history.gyro_valid_s, 0.0))
+    columns = np.cumsum(np.where(moving[:, None], history.columns, 0.0), axis=0)
+    span_s = valid_s[last] - valid_s[first]
+    variance = history.std[first, YAW] ** 2 + history.std[last, YAW] ** 2
+    white = np.cumsum(np.where(moving, noise.density_rad_s**2 * history.gyro_valid_s, 0.0))
+    variance += white[last] - white[first]
+    unread = np.cumsum(_unread_variance(np.where(moving, history.unobserved_turn_std_rad, 0.0)))
+    variance += unread[last] - unread[first]
+    variance += noise.bias_walk_rad_s**2 * span_s**3 / 3.0
+    bias_std = history.std[:, YAW_BIAS]
+    if (history.bias_walk > 1.0).any():
+        bias_std = np.minimum.accumulate(bias_std)
+    variance += (bias_std[first] * span_s) ** 2
+    by_coefficients = (columns[last] - columns[first]) * history.std[first, COEFFICIENTS_START:]
+    variance += np.sum(by_coefficients**2, axis=1) + turn_against_body_rad(run) ** 2
+    return float(np.degrees(np.sqrt(np.mean(variance)))) if len(variance) else math.nan
+
+
+def turn_against_body_rad(run: Run) -> float:
+    """Return by how much the camera may turn against the robot, by the effects in the model.
+
+    The heading of the map is that of the camera, and where it lies in its play is not known exactly.
+    """
+    ends = np.cumsum([len(effect.coefficients) for effect in run.model.effects])
+    parts = np.split(run.state.coefficients, ends[:-1])
+    pairs = zip(run.model.effects, parts, strict=True)
+    moved = [item.turn_against_body_rad(part) for item, part in pairs if isinstance(item, MovesAgainstBody)]
+    return float(sum(moved))
+
+
+def _unread_variance(unread_rad: Array) -> Array:
+    """Return the variance (s,) of turns whose error (s,) is one and the same from step to step.
+
+    It is counted at the last step of each stretch of them.
+    """
+    total_rad, is_unread = np.cumsum(unread_rad), unread_rad > 0.0
+    ends = np.flatnonzero(is_unread & ~np.append(is_unread[1:], False))
+    variance = np.zeros_like(unread_rad)
+    variance[ends] = np.diff(total_rad[ends], prepend=0.0) ** 2
+    return variance
 
 
 def last_seen_s(history: History) -> Array:

@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from gyrocal_ros.diagnose.analysis.drift import BlindDrift, Heading, blind_drift, held_out_from_s
+from gyrocal_ros.diagnose.analysis.drift import BlindDrift, blind_drift, held_out_from_s
+from gyrocal_ros.diagnose.analysis.paths import Heading
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.pipeline.calibration import Calibration, conclude
 

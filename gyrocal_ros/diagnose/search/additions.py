@@ -9,9 +9,15 @@ from functools import cached_property
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.analysis.drift import better_sigma, drift_of_both, drifts_more
+from gyrocal_ros.diagnose.analysis.drift import (
+    better_sigma,
+    drift_by_noise_deg,
+    drift_of_both,
+    drifts_more,
+    turn_against_body_rad,
+)
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel, coefficient_places
-from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg, model_fit, turn_against_body_rad
+from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.effects.traits import has_impossible_sign, least_shown_part, scanned_coefficient
 from gyrocal_ros.ekf.state.layout import COEFFICIENTS_START

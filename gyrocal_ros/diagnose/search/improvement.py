@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 from gyrocal_ros.diagnose.analysis.drift import (
     BlindDrift,
-    Heading,
     better_sigma,
     blind_drift,
+    drift_by_noise_deg,
     held_out_from_s,
     reference_heading,
 )
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel
-from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg
+from gyrocal_ros.diagnose.analysis.paths import Heading
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.search.additions import Addition, Removal, Search
 from gyrocal_ros.model.sensor import Effect

@@ -17,10 +17,10 @@ import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
 from gyrocal_ros.diagnose.analysis.candidates import columns_of
-from gyrocal_ros.diagnose.analysis.drift import blind_drift, held_out_from_s
+from gyrocal_ros.diagnose.analysis.drift import blind_drift, drift_by_noise_deg, held_out_from_s
 from gyrocal_ros.diagnose.analysis.examined import ExaminedModel
 from gyrocal_ros.diagnose.analysis.heading_filter import Headings, heading_log_likelihood
-from gyrocal_ros.diagnose.analysis.model_fit import drift_by_noise_deg, excess_nis
+from gyrocal_ros.diagnose.analysis.model_fit import excess_nis
 from gyrocal_ros.diagnose.analysis.ranking import explained_together
 from gyrocal_ros.diagnose.search.noise_fit import fit_noises
 from gyrocal_ros.ekf.history.run import Run

@@ -10,7 +10,7 @@ from itertools import pairwise
 import numpy as np
 
 from gyrocal_ros.data import Array, IntArray
-from gyrocal_ros.diagnose.analysis.drift import Trajectory2D
+from gyrocal_ros.diagnose.analysis.paths import Trajectory2D
 from gyrocal_ros.ekf.history.run import History, Run
 from gyrocal_ros.statistics import chi_square_quantile
 

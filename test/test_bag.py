@@ -413,6 +413,31 @@ def test_a_transform_that_gravity_contradicts_is_applied_with_a_warning(tmp_path
     assert 'contradicts its transform' in str(source.warnings[0])
 
 
+@pytest.mark.parametrize('other', ['imu_two', 'imu'])
+def test_messages_of_a_second_imu_on_the_topic_are_left_out(tmp_path: Path, other: str) -> None:
+    first, out = write(tmp_path / 'first'), tmp_path / 'both'
+    with rosbag2.Reader(first) as reader, rosbag2.Writer(out, version=9) as writer:
+        connections = {
+            item.id: writer.add_connection(item.topic, item.msgtype, typestore=STORE)
+            for item in reader.connections
+        }
+        for connection, recorded_ns, raw in reader.messages():
+            writer.write(connections[connection.id], recorded_ns, raw)
+            if connection.topic.endswith('imu/data_raw'):
+                message: Any = STORE.deserialize_cdr(raw, connection.msgtype)
+                message.header.frame_id = other
+                message.header.stamp.nanosec += 3_000_000
+                message.angular_velocity.z *= 2.0
+                second = STORE.serialize_cdr(message, connection.msgtype)
+                writer.write(connections[connection.id], recorded_ns, second)
+    source = open_bag(out, CONFIG, with_covariates=True)
+    assert_same(list(source.measurements()), drive())
+    (warning,) = source.warnings
+    count = len(of(drive(), ImuSample))
+    assert f'{count} messages are of another sensor' in str(warning)
+    assert f'{count} of /imu/data_raw' in str(warning)
+
+
 def test_without_a_transform_the_camera_mount_of_the_settings_is_used(tmp_path: Path) -> None:
     config = with_settings(CONFIG, {'camera': {'mount_x_m': 0.5, 'mount_yaw_deg': 90.0}})
     source = open_bag(renamed(tmp_path, {'/tf_static': ''}), config)

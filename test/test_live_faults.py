@@ -61,6 +61,29 @@ def test_silent_sensors_are_named_while_they_are_silent() -> None:
     assert max(status.level for at_s, status in new.statuses if at_s < 5) < Level.ERROR
 
 
+def test_a_second_imu_on_the_topic_is_reported_and_left_out() -> None:
+    alone, both = switched_on(), switched_on()
+    alone.run(measured(0.0, 12.0))
+    for item in measured(0.0, 12.0):
+        both.run([item])
+        if isinstance(item, ImuSample):
+            x, y, z = item.rate_rad_s
+            second = replace(item, t_ns=item.t_ns + 1_000_000, rate_rad_s=(x, y, 2.0 * z))
+            assert both.live.imu(second, 'imu_two', both.now_s) is None
+    assert both.live.calibration.scale_factor == alone.live.calibration.scale_factor != 1.0
+    assert len(both.calibrated) == len(alone.calibrated) > 0
+    assert both.reported('another IMU on the same topic') and not alone.reported('another IMU')
+
+
+def test_an_imu_whose_frame_was_renamed_is_taken_up_again() -> None:
+    new = switched_on()
+    new.run(measured(0.0, 5.0))
+    count = len(new.calibrated)
+    later = [item for item in measured(7.0, 12.0) if isinstance(item, ImuSample)]
+    samples = [new.live.imu(item, 'imu_two', START_S + 7.0) for item in later]
+    assert None not in samples and count > 0
+
+
 def test_missing_sensors_are_named() -> None:
     new = robot()
     message = new.live.status(START_S + 3.0).message

@@ -23,6 +23,8 @@ from gyrocal_ros.msgs.mounts import into_body_axes
 from gyrocal_ros.msgs.plausible import MAX_NUMBER, plausible
 from gyrocal_ros.msgs.topics import STAMP_FIELDS, FieldConversion, Role
 
+FRAME_AT = 12
+"""Place of the frame in a message with a header, its length first, in ROS 1 and in ROS 2."""
 MAX_INVALID_SHARE, MAX_INVALID = 0.1, 10
 """Limits of the invalid messages of a needed topic: a recording that exceeds both is refused."""
 
@@ -58,6 +60,8 @@ class MessageDecoder:
         """Topics that had to be left out."""
         self.invalid: Counter[str] = Counter()
         """Number of messages of each topic that were left out as invalid (NaN, damaged)."""
+        self.others: Counter[str] = Counter()
+        """Number of messages of each topic that were left out as those of another sensor."""
         self.stamp_offset_ns = 0
         """Latest stamp minus its time of recording; set by the user of the decoder."""
         self._heading = selection.heading
@@ -107,7 +111,29 @@ class MessageDecoder:
             conversion = FieldConversion(
                 conversion.fields, lambda *values: rotate(topics.imu_sample(*values))
             )
-        return self._field_decoder(topic, conversion, role)
+        decode = self._field_decoder(topic, conversion, role)
+        return self._of_one_sensor(topic, decode) if role is Role.IMU else decode
+
+    def _of_one_sensor(self, topic: Topic, decode: Decode) -> Decode:
+        """Return a decoder that leaves out messages with another frame than the first has.
+
+        Two sensors on one topic have two scale factors.
+        """
+        frame = b''
+
+        def decode_own(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
+            nonlocal frame
+            if frame and raw[FRAME_AT : FRAME_AT + len(frame)] != frame:
+                self.others[topic.name] += 1
+                return ()
+            samples = decode(raw, recorded_ns)
+            if not frame:
+                is_big_endian = self._storage.cdr and not raw[1]
+                size = int.from_bytes(raw[FRAME_AT : FRAME_AT + 4], 'big' if is_big_endian else 'little')
+                frame = raw[FRAME_AT : FRAME_AT + 4 + size]
+            return samples
+
+        return decode_own
 
     def _field_decoder(self, topic: Topic, conversion: FieldConversion[Measurement], role: Role) -> Decode:
         read, build = self._storage.reader_of(topic, conversion.fields), conversion.build

@@ -207,6 +207,9 @@ def _drop_issues(decoder: MessageDecoder, reorderer: Reorderer[Sequence[Measurem
         }
         if counts:
             yield _drop_issue(drop, counts, predicate)
+    if decoder.others:
+        predicate = 'are of another sensor, whose frame_id differs from that of the first message,'
+        yield _drop_issue('other_sensor', decoder.others, predicate)
     if decoder.invalid:
         yield _drop_issue('meaningless', decoder.invalid, 'are invalid (NaN, or damaged)')
 

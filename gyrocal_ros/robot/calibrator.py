@@ -55,7 +55,7 @@ from gyrocal_ros.robot.health import (
     status,
 )
 from gyrocal_ros.robot.input_queue import STEP_S, InputQueue
-from gyrocal_ros.robot.mounting import Mounting
+from gyrocal_ros.robot.mounting import ANOTHER_IMU, Mounting
 
 ORDERED_ROLES = (Role.IMU, Role.WHEELS, Role.FEATURES)
 """Topics whose messages arrive in the order of their stamps. When all of them have passed a moment the filter
@@ -118,8 +118,10 @@ class LiveCalibrator:
         """Take in a sample in the IMU's own axes; return it calibrated, None while its mount is unknown."""
         if not self._is_plausible(Role.IMU, *sample.rate_rad_s, *sample.specific_force_m_s2):
             return None
+        if not self._mounting.add_imu(sample, frame):
+            self._log.add_unusable(Role.IMU, ANOTHER_IMU)
+            return None
         self._take(Role.IMU, (sample,), now_s)
-        self._mounting.add_imu(sample, frame)
         self._update_mounting()
         self.newest_ns = sample.t_ns
         return None if self._R_bi is None else self._reckoning.imu(self._to_body(sample))

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from gyrocal_ros.config.sections import CameraConfig
-from gyrocal_ros.data import Array, CameraIntrinsics, ImuSample, Rig
+from gyrocal_ros.data import NS_PER_S, Array, CameraIntrinsics, ImuSample, Rig
 from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.msgs.mounts import (
     REST_NS,
@@ -18,6 +18,10 @@ from gyrocal_ros.msgs.mounts import (
 )
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
+
+OTHER_NS = NS_PER_S
+"""Time for which a frame of the IMU has to be away until another one takes its place."""
+ANOTHER_IMU = 'it is of another IMU on the same topic, with another frame_id'
 
 
 class Mounting:
@@ -44,6 +48,7 @@ class Mounting:
         self._camera_frame: str | None = None
         self._info_frame: str | None = None
         self._imu_frame: str | None = None
+        self._imu_ns = 0
         self._transforms: dict[str, Transform] = {}
         self._first_ns: int | None = None
         self._forces_m_s2: list[tuple[float, float, float]] = []
@@ -67,11 +72,21 @@ class Mounting:
             self._camera_frame = frame
             self._update()
 
-    def add_imu(self, sample: ImuSample, frame: str) -> None:
-        """Take in a sample in the IMU's own axes."""
+    def add_imu(self, sample: ImuSample, frame: str) -> bool:
+        """Take in a sample in the IMU's own axes; return False for one of another IMU on the same topic.
+
+        A frame takes the place of one that has not been seen for a second, as of a driver that was restarted.
+        """
         if frame != self._imu_frame:
+            if self._imu_frame is not None and abs(sample.t_ns - self._imu_ns) < OTHER_NS:
+                return False
             self._imu_frame = frame
             self._update()
+        self._imu_ns = sample.t_ns
+        self._add_gravity(sample)
+        return True
+
+    def _add_gravity(self, sample: ImuSample) -> None:
         if self._has_gravity:
             return
         if self._first_ns is None or sample.t_ns < self._first_ns:

@@ -26,7 +26,7 @@ from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, IMU_BOUNDS, plausible
 from gyrocal_ros.msgs.topics import Role
 from gyrocal_ros.msgs.transforms import Transform
 from gyrocal_ros.robot.health import Status, TrackingHealth
-from gyrocal_ros.robot.mounting import Mounting
+from gyrocal_ros.robot.mounting import ANOTHER_IMU, Mounting
 from gyrocal_ros.vision.draw import draw_tracks
 from gyrocal_ros.vision.gyro_aided_tracker import GyroAidedTracker
 from gyrocal_ros.vision.tracker import ID_COUNT
@@ -118,8 +118,10 @@ class LiveTracker:
         if not plausible((*sample.rate_rad_s, *sample.specific_force_m_s2), IMU_BOUNDS):
             self.health.log.add_unusable(Role.IMU, IMPLAUSIBLE)
             return
+        if not self._mounting.add_imu(sample, frame_id):
+            self.health.log.add_unusable(Role.IMU, ANOTHER_IMU)
+            return
         self._imu_s = now_s
-        self._mounting.add_imu(sample, frame_id)
         R_bi = self._mounting.R_bi
         if R_bi is not None and R_bi is not self._R_bi:
             self._R_bi, self._to_body = R_bi, into_body_axes(R_bi)

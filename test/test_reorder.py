@@ -95,6 +95,37 @@ def test_a_lasting_jump_starts_a_new_time_base(step_s: int) -> None:
     assert not reorderer.drops
 
 
+def by_arrival(messages: Iterable[tuple[int, int, int]]) -> tuple[list[int | ClockStep], Reorderer[int]]:
+    """Sort messages of stamp, stream and time of arrival (ms)."""
+    reorderer = Reorderer[int](WINDOW, STEP)
+    out: list[int | ClockStep] = []
+    for t_ms, stream, arrival_ms in sorted(messages, key=lambda message: message[2]):
+        out += reorderer.push(t_ms * MS, stream, t_ms, arrival_ms * MS)
+    return out + list(reorderer.finish()), reorderer
+
+
+def test_a_step_back_by_seconds_is_seen_where_the_arrival_is_known() -> None:
+    times = range(10_000, 16_000, 5)
+    stepped = [(t if t < 13_000 else t - 3000, 0, t + 2) for t in times]
+    images = [(t + 1 if t < 13_000 else t - 2999, 1, t + 40) for t in times if t % 50 == 0]
+    out, reorderer = by_arrival(stepped + images)
+    (step,) = [item for item in out if isinstance(item, ClockStep)]
+    assert step.step_ns == pytest.approx(-3000 * MS, abs=50 * MS)
+    place = out.index(step)
+    assert out[:place] == sorted(out[:place]) and out[place + 1 :] == sorted(out[place + 1 :])  # type: ignore[type-var]
+    assert len(out) - 1 == len(stepped) + len(images) and not reorderer.drops
+
+
+def test_one_stream_that_is_seconds_late_is_no_step() -> None:
+    times = range(10_000, 16_000, 5)
+    steady_ms = [(t, 0, t + 2) for t in times]
+    late = [(t + 1, 1, t + 2000) for t in times if t % 50 == 0 and t < 14_000]
+    out, reorderer = by_arrival(steady_ms + late)
+    assert not any(isinstance(item, ClockStep) for item in out)
+    assert reorderer.drops == {(Drop.LATE, 1): len(late)}
+    assert out == list(times)
+
+
 def test_late_messages_from_before_the_step_do_not_hide_it() -> None:
     before, after = steady(0, 2000), steady(102_000, 104_000)
     late = [(t_ns, 2) for t_ns in (1990 * MS, 1994 * MS, 1998 * MS)]

@@ -136,9 +136,10 @@ class Reorderer(Generic[T]):
 
     Messages newer than the newest stamp less the window are buffered, so that a message that is late by
     less than the window is sorted in. Messages with equal stamps are released in the order of their
-    streams. A message whose stamp differs from the newest by more than `step_ns` is an outlier and is kept
-    aside. If the stamps continue from there, and no longer from the old time base, the clock has stepped: a
-    `ClockStep` precedes the first message of the new time base. Otherwise the outlier is dropped.
+    streams. A message whose stamp differs from the newest by more than `step_ns`, or with known times of
+    arrival is earlier by more than the window, is an outlier and is kept aside. If the stamps continue from
+    there, and no longer from the old time base, the clock has stepped: a `ClockStep` precedes the first
+    message of the new time base. Otherwise the outlier is dropped.
 
     With the window alone, a live robot would always lag by the whole window. Messages that precede the next
     message of every `punctual` stream are therefore released at once, because punctual streams arrive in
@@ -156,7 +157,8 @@ class Reorderer(Generic[T]):
 
         Args:
             window_ns: maximum delay of a message.
-            step_ns: threshold above which a jump of the stamps is a step of the clock.
+            step_ns: threshold above which a jump of the stamps is a step of the clock; with known times of
+                arrival, a jump back beyond the window is one.
             punctual: streams whose messages arrive in the order of their stamps.
             followers: streams whose stamps are no sign of time, so that a wrong clock of theirs cannot make
                 the messages of the others late.
@@ -191,8 +193,11 @@ class Reorderer(Generic[T]):
             self._drop_outliers()
         elapsed_ns = max(arrival_ns - self._base.newest_arrival_ns, 0)
         ahead_ns = t_ns - self._base.newest_ns
-        is_in_range = -self._step_ns <= ahead_ns <= self._step_ns + elapsed_ns
+        back_ns = min(self._window_ns, self._step_ns) if arrival_ns else self._step_ns
+        is_in_range = -back_ns <= ahead_ns <= self._step_ns + elapsed_ns
         if is_in_range and not self._continues_outliers(t_ns, ahead_ns):
+            if ahead_ns > 0 and self._outliers and self._is_late(self._outliers[0][0]):
+                self._drop_outliers()
             return self._base.add(t_ns, stream, item, arrival_ns, leads=leads)
         if not leads and not self._outliers:
             self.drops[Drop.OUTLIER, stream] += 1
@@ -236,7 +241,7 @@ class Reorderer(Generic[T]):
             base.discard()
         else:
             items += base.release(base.newest_ns)
-            elapsed_ns = arrival_ns - base.newest_arrival_ns
+            elapsed_ns = max(arrival_ns - base.newest_arrival_ns, 0)
             items.append(ClockStep(first_ns, first_ns - base.newest_ns - elapsed_ns))
         outliers, self._outliers = self._outliers, []
         self._base = self._new_base(first_ns, arrival_ns)
@@ -249,5 +254,10 @@ class Reorderer(Generic[T]):
         return _TimeBase(first_ns, arrival_ns, self._window_ns, self._punctual, self.drops)
 
     def _drop_outliers(self) -> None:
-        self.drops.update((Drop.OUTLIER, stream) for _, stream, _, _ in self._outliers)
+        for t_ns, stream, _, _ in self._outliers:
+            self.drops[Drop.LATE if self._is_late(t_ns) else Drop.OUTLIER, stream] += 1
         self._outliers = []
+
+    def _is_late(self, t_ns: int) -> bool:
+        """Return True for an outlier that is only late, unless all other messages are as well."""
+        return -self._step_ns <= t_ns - self._newest_at_outlier_ns < 0

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gyrocal_ros.data import Array
+from gyrocal_ros.data import NS_PER_S, Array
 from gyrocal_ros.diagnose.analysis.paths import Heading, Trajectory2D, slam_path, truth_heading
 from gyrocal_ros.ekf.history.run import History, Run
 from gyrocal_ros.ekf.history.turn_agreement import knocked_steps
@@ -30,6 +30,8 @@ STRIDE_S = 5.0
 """Distance of the beginnings of spans."""
 SETTLING_S = 10.0
 """Earliest beginning of a span: before, the gyro is hardly calibrated."""
+STEPPED_S = 0.01
+"""Difference of the time between two steps with and without steps of the clock, from which there was one."""
 SEEN_S = 2.0
 """Longest time without an image or a heading up to which the filter's own heading is a reference: later it is
 that of the gyro itself."""
@@ -169,8 +171,8 @@ def blind_drift(
 
     A span starts with the filter's heading, bias and coefficients of that moment, so nothing was fitted on
     what follows. Then the gyro is alone, except at rest, where the robot knows that it does not turn. Spans
-    with missing IMU samples do not count, nor do those at whose end the run's own heading is that of the
-    gyro, or in which it is off by a knock of the camera.
+    with missing IMU samples or a step of the clock do not count, nor do those at whose end the run's own
+    heading is that of the gyro, or in which it is off by a knock of the camera.
 
     Args:
         run: a finished run.
@@ -193,7 +195,8 @@ def blind_drift(
     start_s = np.arange(from_s, max(latest, from_s - 1.0), STRIDE_S)
     first, last = np.searchsorted(time_s, start_s), np.searchsorted(time_s, start_s + span_s)
     gap_s, knocks = np.cumsum(history.gap_s), np.cumsum(knocked_steps(run))
-    whole = gap_s[last] == gap_s[first]
+    bases = np.cumsum(new_time_bases(history))
+    whole = (gap_s[last] == gap_s[first]) & (bases[last] == bases[first])
     seen = np.ones_like(whole)
     if name != TRUTH:
         seen = (time_s[last] - last_seen_s(history)[last] <= SEEN_S) & (knocks[last] == knocks[first])
@@ -263,6 +266,12 @@ def _unread_variance(unread_rad: Array) -> Array:
     variance = np.zeros_like(unread_rad)
     variance[ends] = np.diff(total_rad[ends], prepend=0.0) ** 2
     return variance
+
+
+def new_time_bases(history: History) -> Array:
+    """Return True (s,) for the first steps after steps of the clock, at which pose and map begin again."""
+    apart_s = np.diff(history.t_ns) / NS_PER_S - np.diff(history.time_s)
+    return np.append(False, np.abs(apart_s) > STEPPED_S)[: len(history.t_ns)]
 
 
 def last_seen_s(history: History) -> Array:

@@ -230,7 +230,7 @@ class Reorderer(Generic[T]):
         first_ns, _, _, first_arrival_ns = self._outliers[0]
         lasted_ns = t_ns - first_ns
         has_lasted = not arrival_ns or arrival_ns - first_arrival_ns >= CONFIRMATION_NS // 2
-        is_confirmed = lasted_ns >= CONFIRMATION_NS and has_lasted
+        is_confirmed = lasted_ns >= CONFIRMATION_NS and has_lasted and not self._is_one_late_stream()
         return self._step(base) if is_confirmed or lasted_ns >= UNDENIABLE_NS else ()
 
     def _step(self, base: _TimeBase[T]) -> Sequence[T | ClockStep]:
@@ -257,6 +257,12 @@ class Reorderer(Generic[T]):
         for t_ns, stream, _, _ in self._outliers:
             self.drops[Drop.LATE if self._is_late(t_ns) else Drop.OUTLIER, stream] += 1
         self._outliers = []
+
+    def _is_one_late_stream(self) -> bool:
+        """Return True if the outliers are of one of several streams, which may have outlasted the others."""
+        streams = {stream for _, stream, _, _ in self._outliers}
+        is_one = len(streams) == 1 and len(self._last_pushed.keys() - self._followers) > 1
+        return is_one and self._is_late(self._outliers[0][0])
 
     def _is_late(self, t_ns: int) -> bool:
         """Return True for an outlier that is only late, unless all other messages are as well."""

@@ -99,8 +99,7 @@ class EkfSlam:
             )
         self.state: State = initial_state(model, config, start, self._candidates.count)
         self._to_age = self._to_warm = start
-        self._pause = ''
-        """Event of a time without measurements, for the next step."""
+        self._pause = ''  # event of a time without measurements, for the next step
         self.memories = self._effects.no_memories()
         """Memories of the gyro effects at the present state."""
         self._candidate_memories = self._candidates.no_memories()
@@ -289,7 +288,8 @@ class EkfSlam:
         self._moving.update(observations.ids, update.dropped_ids)
         new = self._admission.choose(self.state, observations.ids, self._moving, features.map_size)
         if new:
-            self.state = add_landmarks(self.state, self._image_model(), observations, new)
+            placed = self._admission.placed(self.state)
+            self.state = add_landmarks(placed, self._image_model(), observations, new)
         if self.config.camera.estimate_pixel_noise:
             self.track_noise.learn(update, agrees=self._agrees(update))
         dropped_ids = np.concatenate([gone_ids, update.dropped_ids]) if len(gone_ids) else update.dropped_ids

@@ -43,7 +43,7 @@ def truth_path(run: Run) -> Trajectory2D | None:
     if heading is None or truth is None:
         return None
     slam, time_s = slam_path(run), heading.time_s
-    common = _common(truth, slam)
+    common = _common(truth, run)
     position, turn = truth.position_m[common], heading.yaw_rad[0] - truth.yaw_rad[common][0]
     at_first = [np.interp(time_s[0], slam.time_s, column) for column in slam.position_m.T]
     c, s = np.cos(turn), np.sin(turn)
@@ -56,7 +56,7 @@ def truth_heading(run: Run) -> Heading | None:
     if run.truth is None:
         return None
     slam = slam_path(run)
-    common = _common(run.truth, slam)
+    common = _common(run.truth, run)
     time_s, yaw = run.truth.time_s[common], run.truth.yaw_rad[common]
     if len(time_s) < 2:
         return None
@@ -66,7 +66,9 @@ def truth_heading(run: Run) -> Heading | None:
     return Heading(time_s, own + np.remainder(apart + np.pi, 2.0 * np.pi) - np.pi)
 
 
-def _common(truth: GroundTruth, slam: Trajectory2D) -> slice:
-    """Return the rows of the ground truth within the time of a trajectory; they are in order."""
-    first_s, last_s = slam.time_s[[0, -1]]
+def _common(truth: GroundTruth, run: Run) -> slice:
+    """Return the rows of the ground truth, which are in order, from the beginning of the map to the end."""
+    history = run.history
+    sees = np.flatnonzero((history.in_view > 0) | (history.dof > 0))
+    first_s, last_s = history.time_s[sees[0] if len(sees) else 0], history.time_s[-1]
     return slice(truth.time_s.searchsorted(first_s), truth.time_s.searchsorted(last_s, 'right'))

@@ -9,6 +9,7 @@ from gyrocal_ros.ekf.equations.update import NO_FEATURES
 from gyrocal_ros.ekf.features.landmarks import match_ids
 from gyrocal_ros.ekf.features.moving_features import MovingFeatures
 from gyrocal_ros.ekf.state.layout import State
+from gyrocal_ros.ekf.state.pauses import at_own_origin
 
 
 class Admission:
@@ -19,7 +20,12 @@ class Admission:
     """
 
     def __init__(self) -> None:
-        self._ids_before = NO_FEATURES
+        self._ids_before, self._has_map = NO_FEATURES, False
+
+    def placed(self, state: State) -> State:
+        """Return the state to which features are about to be added; for the first ones, at its origin."""
+        is_first, self._has_map = not self._has_map, True
+        return at_own_origin(state) if is_first else state
 
     def choose(self, state: State, ids: IntArray, moving: MovingFeatures, map_size: int) -> list[int]:
         """Return the indices of fixed features that are not in the map and for which there is room.

@@ -24,6 +24,19 @@ def inflate_after_gap(state: State, t_ns: int) -> State:
     return replace(state, t_ns=t_ns, covariance=covariance)
 
 
+def at_own_origin(state: State) -> State:
+    """Return a state without a map whose position and heading are exact.
+
+    Nothing but a map gives them a meaning. A camera that is switched on late begins one, and by then the
+    unknown scale factor may have made the heading uncertain by whole turns, for which no filter is linear.
+    """
+    free = [*range(POSITION.start, POSITION.stop), YAW]
+    covariance, sensitivity = state.covariance.copy(), state.sensitivity.copy()
+    covariance[free] = covariance[:, free] = 0.0
+    sensitivity[free] = 0.0
+    return replace(state, covariance=covariance, sensitivity=sensitivity)
+
+
 def drifted(state: State, model: SensorModel, time_s: float, gyro: GyroConfig) -> State:
     """Add the random walks of bias and coefficients over a time that is not predicted."""
     covariance = state.covariance.copy()

@@ -67,8 +67,11 @@ def truth_heading(run: Run) -> Heading | None:
 
 
 def _common(truth: GroundTruth, run: Run) -> slice:
-    """Return the rows of the ground truth, which are in order, from the beginning of the map to the end."""
+    """Return the rows of the ground truth, which are in order, from the beginning of the map to the end.
+
+    The image before the first one that shows mapped features has begun it, where the pose is exact.
+    """
     history = run.history
     sees = np.flatnonzero((history.in_view > 0) | (history.dof > 0))
-    first_s, last_s = history.time_s[sees[0] if len(sees) else 0], history.time_s[-1]
+    first_s, last_s = history.time_s[max(sees[0] - 1, 0) if len(sees) else 0], history.time_s[-1]
     return slice(truth.time_s.searchsorted(first_s), truth.time_s.searchsorted(last_s, 'right'))

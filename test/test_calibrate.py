@@ -230,9 +230,10 @@ def test_a_step_of_the_clock_keeps_the_calibration(step_s: float) -> None:
     assert run.history.time_s[-1] == pytest.approx(plain.time_s[-1], abs=0.1)
     assert conclude(run).convergence_time_s == conclude(plain_run()).convergence_time_s
     assert run.truth is not None and len(run.truth.time_s) == pytest.approx(3000, abs=5)
-    assert blind_drift(run, span_s=20.0).rms_deg == pytest.approx(
-        blind_drift(plain_run(), span_s=20.0).rms_deg, abs=0.3
-    )
+    drift, plain_drift = (blind_drift(one, span_s=20.0) for one in (run, plain_run()))
+    assert (drift.start_s >= 30.0).all() and (plain_drift.start_s < 30.0).any(), 'none spans the step'
+    later_deg = np.degrees(plain_drift.error_rad[plain_drift.start_s >= 30.0])
+    np.testing.assert_allclose(np.degrees(drift.error_rad), later_deg, atol=0.3)
     assert run.scores is not None and len(run.scores.start_s) == 6
 
 
@@ -505,9 +506,12 @@ def test_a_shaken_gyro_is_not_a_noisy_one_beside_a_heading_reference() -> None:
     assert run.history.nis.sum() / run.history.dof.sum() == pytest.approx(1.0, abs=0.2)
 
 
-@pytest.mark.parametrize('change', [{'scale': 0.3}, {'sign': -1.0}], ids=['slips', 'turns the other way'])
-def test_a_reference_that_does_not_fit_is_refused(change: dict[str, float]) -> None:
-    with pytest.raises(NotObservableError, match='times as far as the gyro'):
+@pytest.mark.parametrize(
+    ('change', 'words'),
+    [({'scale': 0.3}, '0.28 times as far as the gyro'), ({'sign': -1.0}, 'turns opposite to the gyro')],
+)
+def test_a_reference_that_does_not_fit_is_refused(change: dict[str, float], words: str) -> None:
+    with pytest.raises(NotObservableError, match=words):
         calibrate(by_heading(**change), Config(), default_model())
 
 

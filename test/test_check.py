@@ -21,6 +21,7 @@ from gyrocal_ros.bag.rewrite import RawMessage, decode, encode, rewrite_bag
 from gyrocal_ros.bag.storage import Storage, Topic
 from gyrocal_ros.bag.write import new_bag
 from gyrocal_ros.cli.main import main
+from gyrocal_ros.cli.warned_bag import warned_bag
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import (
     NS_PER_S,
@@ -33,7 +34,7 @@ from gyrocal_ros.data import (
     TruthSample,
     WheelSample,
 )
-from gyrocal_ros.errors import RecordingError
+from gyrocal_ros.errors import FilterDivergedError, RecordingError
 from gyrocal_ros.msgs import topics
 from gyrocal_ros.msgs.issues import BagIssue, Severity, worst_per_kind
 
@@ -679,6 +680,22 @@ def test_an_error_of_the_recording_explains_one_of_its_use(tmp_path: Path) -> No
     good = write(tmp_path / 'good')
     with pytest.raises(ZeroDivisionError), checked_bag(good, Config(), with_covariates=False):
         raise ZeroDivisionError
+
+
+def test_an_error_of_a_calibration_comes_with_the_warnings_of_the_bag(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Wheels that read nothing may be why it fails."""
+    still = with_changed(WheelSample, lambda sample: replace(sample, speed_m_s=0.0, yaw_rate_rad_s=0.0))
+    path = write(tmp_path / 'bag', still)
+    (expected,) = [str(issue) for issue in check_bag(path, Config()).issues if issue.kind == 'dead_wheels']
+    with (
+        pytest.raises(FilterDivergedError),
+        warned_bag(path, Config(), with_covariates=False) as checked,
+    ):
+        next(iter(checked.source.measurements()))
+        raise FilterDivergedError('the innovations of the images exceed 5 px')
+    assert f'gyrocal: warning: {expected}' in capsys.readouterr().err
 
 
 # --- third-party recordings ----------------------------------------------------------------------

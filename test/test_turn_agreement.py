@@ -50,6 +50,26 @@ def test_the_likely_cause_is_named(ratio: float, scale_factor: float, cause: str
     assert found.startswith(cause) and bool(found) == bool(cause)
 
 
+def test_wheels_in_degrees_are_named() -> None:
+    found = turned(1.05 / 57.3).fault(0.926, 1e-4)
+    assert found.startswith('the wheels turn 57 times as far as the gyro, as degrees would')
+
+
+def test_wheels_that_turn_wherever_the_robot_drives_show_no_inverted_gyro() -> None:
+    """With an encoder that stands they do, and turn against the gyro where the robot slows down to turn."""
+    agreement, rng = TurnAgreement(), np.random.default_rng(3)
+    ratios: list[float] = []
+    for _ in range(200):
+        rate, by_driving = rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0)
+        for _ in range(10):
+            agreement.add(rate * STEP_S, (by_driving - 0.6 * rate) * STEP_S, STEP_S)
+        is_loose = agreement.is_known and agreement.ratio < -0.5 and agreement.correlation > -0.8
+        if is_loose:
+            ratios.append(agreement.ratio)
+            assert agreement.fault(0.97, 1e-4) == ''
+    assert len(ratios) > 20, 'by the ratio alone it would be inverted'
+
+
 def test_the_ratio_is_without_biases() -> None:
     assert turned(0.9).ratio == pytest.approx(0.9, abs=1e-3)
 

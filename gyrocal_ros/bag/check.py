@@ -194,7 +194,8 @@ def checked_bag(path: Path, config: Config, *, with_covariates: bool, **options:
     try:
         yield checked
     except Exception:
-        raise_first_error(check_bag(path, config, **options).issues, str(path))
+        checked.issues = check_bag(path, config, **options).issues
+        raise_first_error(checked.issues, str(path))
         raise
     report = check.report() if check.is_complete else check_bag(path, config, **options)
     raise_first_error(report.issues, str(path))

@@ -8,17 +8,16 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from gyrocal_ros.bag.check import checked_bag
 from gyrocal_ros.cli.figures import add_picture_options, check_pictures
 from gyrocal_ros.cli.numbers import whole_number
 from gyrocal_ros.cli.options import add_bag_options, add_images_option, bag_options, read_config
-from gyrocal_ros.cli.output import draw_on_line, print_message, progress
+from gyrocal_ros.cli.output import draw_on_line, progress
+from gyrocal_ros.cli.warned_bag import warned_bag
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.ekf.history.run import Run
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import Effect, SensorModel
-from gyrocal_ros.msgs.issues import worst_per_kind
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.pipeline.run_filter import Progress
@@ -105,12 +104,10 @@ def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> Iterator[BagR
     """
     config, options = read_config(args), bag_options(args)
     with (
-        checked_bag(args.bag, config, with_covariates=True, **options) as checked,
+        warned_bag(args.bag, config, with_covariates=True, **options) as checked,
         _progress_bar('reading', checked.source) as report,
     ):
         preloaded, config = preload(checked.source, config, model, report)
-    for issue in worst_per_kind(checked.issues):
-        print_message(f'{issue.severity}: {issue}')
     issues = tuple((issue.severity, str(issue)) for issue in checked.issues)
 
     def run(model: SensorModel, candidates: tuple[Effect, ...]) -> Run:

@@ -10,7 +10,6 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from gyrocal_ros.bag.check import checked_bag
 from gyrocal_ros.cli.figures import add_picture_options, check_pictures, draw_if_requested, print_if_requested
 from gyrocal_ros.cli.model_options import add_model_options, load_own_effects
 from gyrocal_ros.cli.options import (
@@ -20,7 +19,8 @@ from gyrocal_ros.cli.options import (
     bag_options,
     read_config,
 )
-from gyrocal_ros.cli.output import print_json, print_message, progress, warn
+from gyrocal_ros.cli.output import print_json, progress, warn
+from gyrocal_ros.cli.warned_bag import warned_bag
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Source
 from gyrocal_ros.diagnose.json_summary import summarise
@@ -32,7 +32,7 @@ from gyrocal_ros.ekf.state.start import Start
 from gyrocal_ros.errors import FilterDivergedError
 from gyrocal_ros.files import new_folder
 from gyrocal_ros.model.sensor import SensorModel
-from gyrocal_ros.msgs.issues import BagIssue, worst_per_kind
+from gyrocal_ros.msgs.issues import BagIssue
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.calibration import Calibration, conclude, load_calibration
 from gyrocal_ros.pipeline.run_filter import Progress
@@ -103,10 +103,8 @@ def replay(
     with ExitStack() as stack:
         folder = stack.enter_context(new_folder(out, overwrite=overwrite)) if out else None
         with_covariates = bool(followers_by_signal(model))
-        with checked_bag(bag, config, with_covariates=with_covariates, **options) as checked:
+        with warned_bag(bag, config, with_covariates=with_covariates, **options) as checked:
             finished = _calibrate(checked.source, config, model, start)
-        for issue in worst_per_kind(checked.issues):
-            print_message(f'{issue.severity}: {issue}')
         calibration = conclude(finished)
         for _, event in events_in_words(finished):
             warn(event)

@@ -63,6 +63,13 @@ def fit_reference(
     coarse = {offset_s: _by_turns(readings, offset_s) for offset_s in OFFSETS_S.tolist()}
     offset_s = min(coarse, key=lambda offset: coarse[offset].deviation_rad)
     scale_factor, bias_rad_s = coarse[offset_s].scale_factor, coarse[offset_s].bias_rad_s
+    if -PLAUSIBLE_SCALE[1] <= scale_factor <= -PLAUSIBLE_SCALE[0]:
+        raise NotObservableError(
+            f'the reference turns opposite to the gyro ({scale_factor:.2f} times as far): the IMU is upside '
+            'down, or one of them has the wrong sign',
+            where=where,
+            todo='publish the mounting of the IMU on /tf_static; headings turn counterclockwise (REP 103)',
+        )
     if not PLAUSIBLE_SCALE[0] <= scale_factor <= PLAUSIBLE_SCALE[1]:
         raise NotObservableError(
             f'the reference turns {scale_factor:.2f} times as far as the gyro, so it is unfit as a '

@@ -30,6 +30,11 @@ ways."""
 VARIED = 0.25
 """Variance of the rate of the wheels, per mean square, below which they turn one way only. Their noise
 is then most of the variance, and a bias of the gyro would explain all that it reads."""
+SURE = 0.8
+"""Correlation of gyro and wheels from which they turn together, or against each other: with an encoder that
+stands, the wheels turn wherever the robot drives."""
+UNIT_PART = 0.1
+"""Largest deviation from the ratio of radians to degrees that is taken for it."""
 DEAF_RATIO = 0.2
 """Rate of the gyro, per rate of the wheels, below which it does not follow turns."""
 STUCK_RAD, STUCK_RAD_S = 1.0, 1e-6
@@ -41,7 +46,8 @@ class TurnAgreement:
 
     def __init__(self) -> None:
         self._turn_rad = self._constant_rad = self._last_rad_s = 0.0
-        self._time_s = self._gyro_rad = self._wheels_rad = self._product = self._square = 0.0
+        self._time_s = self._gyro_rad = self._wheels_rad = 0.0
+        self._product = self._square = self._gyro_square = 0.0
         self._gyro_now_rad = self._wheels_now_rad = self._now_s = 0.0
 
     def add(self, gyro_rad: float, wheels_rad: float, duration_s: float) -> None:
@@ -66,6 +72,7 @@ class TurnAgreement:
         self._wheels_rad = kept * self._wheels_rad + wheels_rad
         self._product = kept * self._product + gyro_rad * wheels_rad / duration_s
         self._square = kept * self._square + wheels_rad**2 / duration_s
+        self._gyro_square = kept * self._gyro_square + gyro_rad**2 / duration_s
 
     @property
     def is_known(self) -> bool:
@@ -80,10 +87,29 @@ class TurnAgreement:
         """
         if not self.is_known:
             return math.nan
+        covariance, by_wheels, _ = self._moments()
+        return covariance / by_wheels
+
+    @property
+    def correlation(self) -> float:
+        """Correlation of the rates of gyro and wheels; NaN while unknown."""
+        if not self.is_known:
+            return math.nan
+        covariance, by_wheels, by_gyro = self._moments()
+        return covariance / math.sqrt(by_wheels * by_gyro) if by_gyro > 0.0 else 0.0
+
+    def _is_quiet(self) -> bool:
+        """Return True unless the gyro turns about as much as the wheels, but at other times."""
+        _, by_wheels, by_gyro = self._moments()
+        return by_gyro < MIN_RATIO**2 * by_wheels
+
+    def _moments(self) -> tuple[float, float, float]:
+        """Return covariance and variances of wheels and gyro; about zero where the wheels turn one way."""
         variation = self._square - self._wheels_rad**2 / self._time_s
         if variation < VARIED * self._square:
-            return self._product / self._square
-        return (self._product - self._gyro_rad * self._wheels_rad / self._time_s) / variation
+            return self._product, self._square, self._gyro_square
+        covariance = self._product - self._gyro_rad * self._wheels_rad / self._time_s
+        return covariance, variation, self._gyro_square - self._gyro_rad**2 / self._time_s
 
     def fault(self, scale_factor: float, scale_std: float) -> str:
         """Return what is wrong, with its likely cause and remedy; empty where nothing is.
@@ -98,7 +124,12 @@ class TurnAgreement:
                 f'the gyro reads {math.degrees(self._last_rad_s):.4g} deg/s whatever the robot does: it is '
                 'stuck, or at the end of its range; check its wiring and supply'
             )
-        if self.is_known and abs(self.ratio) < DEAF_RATIO:
+        if self.is_known and abs(self.ratio) < DEAF_RATIO and self._is_quiet():
+            if abs(math.degrees(self.ratio) - 1.0) < UNIT_PART and self.correlation > SURE:
+                return (
+                    'the wheels turn 57 times as far as the gyro, as degrees would; give '
+                    'twist.twist.angular.z and the rates of the gyro in rad/s'
+                )
             return (
                 'the gyro does not follow the turns of the wheels: its axes are swapped, or the wheels slip; '
                 'check the transform to imu_link'
@@ -108,7 +139,7 @@ class TurnAgreement:
                 'the images turn opposite to gyro and wheels: the image is mirrored, or the mounting of the '
                 'camera is upside down; check the flip options of the camera driver and its transform'
             )
-        if self.ratio < -MIN_RATIO:
+        if self.ratio < -MIN_RATIO and self.correlation < -SURE:
             who = 'wheels and images' if is_impossible and scale_factor < 0.0 else 'the wheels'
             return (
                 f'the gyro turns opposite to {who}: it is mounted upside down, its sign is inverted, or the '

@@ -161,7 +161,13 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
         ),
         (
             FeatureObservations,
-            lambda s: replace(s, pixels=s.pixels / 64.0),
+            lambda s: replace(s, pixels=s.pixels / 2.0),
+            'empty_part',
+            Severity.WARNING,
+        ),
+        (
+            FeatureObservations,
+            lambda s: replace(s, pixels=s.pixels / 64.0 - 0.6),
             'no_pixels',
             Severity.WARNING,
         ),

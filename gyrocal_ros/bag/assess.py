@@ -16,7 +16,7 @@ from gyrocal_ros.bag.assess_stamps import (
     synchronisation_issues,
     unusable_stamps,
 )
-from gyrocal_ros.bag.feature_stats import FeatureStats
+from gyrocal_ros.bag.feature_stats import NEAR_PART, FeatureStats
 from gyrocal_ros.bag.scan import BagScan, TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
 from gyrocal_ros.bag.topic_stats import TurnComparison, TurnStats, compare_turns, turn_delay
@@ -55,6 +55,8 @@ MIN_IMAGES = 20
 """Number of images from which features that none of them share are no chance."""
 MAX_OUTSIDE_SHARE, MIN_EXTENT_PX = 0.05, 3.0
 """Share of features outside of the image, and extent of all of them, from which they are no pixels of it."""
+MANY_FEATURES, FEW = 300, 0.005
+"""Number of features from which more than this part of them lies in the right and in the lower part."""
 AXES_ADVICE = 'publish its mounting on /tf_static, or correct the order of the axes in its driver or firmware'
 TURN_ADVICE = 'turn on the spot, a few full turns to each side, some slow and some fast'
 
@@ -147,17 +149,28 @@ def _unusable_features(scan: TopicScan, features: FeatureStats) -> Iterator[BagI
     if not features.are_tracked and features.with_features >= MIN_IMAGES:
         text = 'no id of a feature occurs in two images'
         yield issue_of(scan, ERROR, 'no_tracks', text, 'the tracker must keep the id of a feature')
-    if features.outside > MAX_OUTSIDE_SHARE * features.features:
+    if features.with_features and features.farthest_px < MIN_EXTENT_PX:
+        text = f'all features lie within {MIN_EXTENT_PX:g} pixels of the corner of the image'
+        yield issue_of(scan, WARNING, 'no_pixels', text, 'the tracker must publish pixels')
+    elif features.outside > MAX_OUTSIDE_SHARE * features.features:
         share, (width_px, height_px) = features.outside / features.features, features.size_px
         text = f'{share:.0%} of the features lie outside of the {width_px}x{height_px} pixels of camera_info'
         todo = 'calibrate the camera at the resolution of its images'
         yield issue_of(scan, WARNING, 'outside_image', text, todo)
-    elif features.with_features and features.farthest_px < MIN_EXTENT_PX:
-        text = f'all features lie within {MIN_EXTENT_PX:g} pixels of the corner of the image'
-        yield issue_of(scan, WARNING, 'no_pixels', text, 'the tracker must publish pixels')
+    elif features.features >= MANY_FEATURES and (empty := _empty_part(features)):
+        width_px, height_px = features.size_px
+        text = f'hardly any feature lies in the {empty} {1.0 - NEAR_PART:.0%} of the {width_px}x{height_px} pixels'
+        todo = 'is camera_info that of another resolution?'
+        yield issue_of(scan, WARNING, 'empty_part', text, todo)
     if features.lost:
         text = f'{features.lost} of {features.features} features have no place in the image (NaN, or far off)'
         yield issue_of(scan, WARNING, 'not_finite', text, f'they are left out; {clouds.REMEDY}')
+
+
+def _empty_part(features: FeatureStats) -> str:
+    """Return which part of the image hardly any feature is in; empty where there is none."""
+    parts = (('right', features.right), ('lower', features.below))
+    return ' and the '.join(name for name, count in parts if count < FEW * features.features)
 
 
 def _image_turn_issues(

@@ -15,6 +15,9 @@ from gyrocal_ros.errors import MessageError
 from gyrocal_ros.model.image_turn import turn_between
 from gyrocal_ros.msgs import clouds
 
+NEAR_PART = 0.6
+"""Part of width and height of an image within which not all features lie."""
+
 
 @dataclass(slots=True)
 class FeatureStats:
@@ -38,6 +41,9 @@ class FeatureStats:
     """Number of features that lie outside of the image."""
     farthest_px: float = 0.0
     """Largest coordinate of a feature."""
+    right: int = 0
+    below: int = 0
+    """Numbers of features in the right and in the lower part of the image, beyond `NEAR_PART`."""
     are_tracked: bool = False
     """True if any feature is in two images."""
     turns: TurnStats = field(default_factory=TurnStats)
@@ -83,6 +89,8 @@ class FeatureStats:
         outside = (u < -0.5) | (u > width_px - 0.5) | (v < -0.5) | (v > height_px - 0.5)
         self.outside += int(np.count_nonzero(outside))
         self.farthest_px = max(self.farthest_px, float(np.abs(seen.pixels).max()))
+        self.right += int(np.count_nonzero(u > NEAR_PART * width_px))
+        self.below += int(np.count_nonzero(v > NEAR_PART * height_px))
         if not self.are_tracked:
             ids = set(seen.ids.tolist())
             self.are_tracked = not self._ids.isdisjoint(ids)

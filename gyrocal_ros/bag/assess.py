@@ -157,9 +157,9 @@ def _unusable_features(scan: TopicScan, features: FeatureStats) -> Iterator[BagI
         text = f'{share:.0%} of the features lie outside of the {width_px}x{height_px} pixels of camera_info'
         todo = 'calibrate the camera at the resolution of its images'
         yield issue_of(scan, WARNING, 'outside_image', text, todo)
-    elif features.features >= MANY_FEATURES and (empty := _empty_part(features)):
-        width_px, height_px = features.size_px
-        text = f'hardly any feature lies in the {empty} {1.0 - NEAR_PART:.0%} of the {width_px}x{height_px} pixels'
+    elif features.features >= MANY_FEATURES and not features.lost and (empty := _empty_part(features)):
+        part, (width_px, height_px) = f'{empty} {1.0 - NEAR_PART:.0%}', features.size_px
+        text = f'hardly any feature lies in the {part} of the {width_px}x{height_px} pixels'
         todo = 'is camera_info that of another resolution?'
         yield issue_of(scan, WARNING, 'empty_part', text, todo)
     if features.lost:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sqlite3
 from collections import Counter
 from collections.abc import Iterator
@@ -411,6 +412,21 @@ def test_a_transform_that_gravity_contradicts_is_applied_with_a_warning(tmp_path
     source = open_bag(tmp_path / 'bag', CONFIG)
     assert imu_rates(source)[0] == ((0.01, 0.02, 0.0), (0.1, 0.2, -GRAVITY))
     assert 'contradicts its transform' in str(source.warnings[0])
+
+
+def test_an_imu_without_an_accelerometer_may_say_so_by_nan(tmp_path: Path) -> None:
+    nothing, partly = (math.nan,) * 3, (math.nan, 0.0, GRAVITY)
+
+    def drive_with(force_m_s2: tuple[float, float, float]) -> list[Measurement]:
+        def felt(sample: Any) -> Measurement:
+            return replace(sample, specific_force_m_s2=force_m_s2)  # type: ignore[no-any-return]
+
+        return list(changed(drive(), ImuSample, felt))
+
+    path = write(tmp_path / 'bag', drive_with(nothing))
+    assert_same(read(path, with_covariates=True), drive_with((0.0, 0.0, 0.0)))
+    with pytest.raises(RecordingError, match='not finite'):
+        read(write(tmp_path / 'broken', drive_with(partly)))
 
 
 @pytest.mark.parametrize('other', ['imu_two', 'imu'])

@@ -115,6 +115,7 @@ def scaled(factor: float, vector: tuple[float, float, float]) -> tuple[float, fl
         (ImuSample, scale_forces(1 / 9.81), 'unit_g', Severity.WARNING),
         (ImuSample, scale_forces(0.6), 'odd_gravity', Severity.WARNING),
         (ImuSample, scale_forces(0.0), 'no_accelerometer', Severity.NOTE),
+        (ImuSample, scale_forces(math.nan), 'no_accelerometer', Severity.NOTE),
         (ImuSample, lean(6.0), 'tilted_imu', Severity.NOTE),
         (
             WheelSample,

@@ -141,6 +141,8 @@ class MessageDecoder:
 
         def decode(raw: bytes, recorded_ns: int) -> Sequence[Measurement]:
             values = read(raw)
+            if role is Role.IMU and math.isnan(values[-1]):
+                values = (*values[:-3], *topics.measured_force(values[-3:]))
             if not plausible(values, bounds):
                 what = 'the numbers are not finite (NaN), or impossibly large'
                 raise MessageError(what, todo='check the driver of this sensor and its unit')

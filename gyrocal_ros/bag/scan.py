@@ -74,6 +74,8 @@ class TopicScan:
         stamps_ns = rows[:, 0].astype(np.int64) * NS_PER_S + rows[:, 1].astype(np.int64)
         self.stamps.add(stamps_ns, recorded_ns)
         numbers = rows[:, len(STAMP_FIELDS) :]
+        if self.role is Role.IMU:
+            numbers[np.isnan(numbers[:, 3:]).all(axis=1), 3:] = 0.0  # as `topics.measured_force`
         valid = (np.abs(numbers) < list(islice(bounds(self.role), numbers.shape[1]))).all(axis=1)
         self.invalid += int(np.count_nonzero(~valid))
         if valid.any():

@@ -120,7 +120,13 @@ def imu_sample(
     sec: int, nanosec: int, wx: float, wy: float, wz: float, ax: float, ay: float, az: float
 ) -> ImuSample:
     """Return the sample of an Imu, given its numbers in the order of the message definition."""
-    return ImuSample(sec * NS_PER_S + nanosec, (wx, wy, wz), (ax, ay, az))
+    return ImuSample(sec * NS_PER_S + nanosec, (wx, wy, wz), measured_force((ax, ay, az)))
+
+
+def measured_force(force_m_s2: tuple[float, float, float]) -> tuple[float, float, float]:
+    """Return a specific force; zero where an IMU without an accelerometer has NaN, as others have zero."""
+    is_absent = force_m_s2[0] != force_m_s2[0] and all(map(math.isnan, force_m_s2))
+    return (0.0, 0.0, 0.0) if is_absent else force_m_s2
 
 
 IMU_SAMPLE = FieldConversion(

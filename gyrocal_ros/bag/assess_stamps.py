@@ -8,6 +8,7 @@ from gyrocal_ros.bag.scan import TopicScan
 from gyrocal_ros.bag.selection import NEEDED_ROLES
 from gyrocal_ros.bag.topic_stats import EventStats
 from gyrocal_ros.data import seconds
+from gyrocal_ros.msgs.bursts import MANY
 from gyrocal_ros.msgs.issues import BagIssue, Severity
 from gyrocal_ros.msgs.topics import Role
 
@@ -71,7 +72,9 @@ def stamp_issues(scan: TopicScan, reorder_window_s: float) -> Iterator[BagIssue]
         yield issue_of(scan, WARNING, 'clock_jump', text, 'a lasting jump starts a new time base')
     if count := stamps.repeated.count:
         text = f'{count} {"stamp repeats" if count == 1 else "stamps repeat"} the one before'
-        yield issue_of(scan, WARNING, 'repeated_stamps', text, 'such messages are left out')
+        spread = 'samples that share one are spread over the time since the one before; stamp each of them'
+        todo = spread if scan.role is Role.IMU and count > MANY else 'such messages are left out'
+        yield issue_of(scan, WARNING, 'repeated_stamps', text, todo)
     if count := stamps.backward.count:
         noun = 'stamp is' if count == 1 else 'stamps are'
         text = f'{count} {noun} earlier than the one before, {largest(stamps.backward, "by up to")}'

@@ -12,8 +12,9 @@ from gyrocal_ros.bag.rig import Geometry, read_geometry
 from gyrocal_ros.bag.selection import Selection, TopicOptions, parse_remap, remap_roles, select_topics
 from gyrocal_ros.bag.storage import Storage, Topic, open_storage
 from gyrocal_ros.config.sections import Config, RecordingConfig
-from gyrocal_ros.data import NS_PER_S, ClockStep, Measurement, Rig, Span, nanoseconds
+from gyrocal_ros.data import NS_PER_S, ClockStep, ImuSample, Measurement, Rig, Span, nanoseconds
 from gyrocal_ros.msgs import topics
+from gyrocal_ros.msgs.bursts import Bursts
 from gyrocal_ros.msgs.issues import BagIssue, Severity, raise_first_error, worst_per_kind
 from gyrocal_ros.msgs.reorder import Drop, Reorderer
 from gyrocal_ros.msgs.topics import Role
@@ -178,6 +179,7 @@ def _read_sorted(
     used = {topic.name: topic for topic, _ in decoder.streams}
     if watch is not None:
         used |= watch.used
+    bursts = Bursts()
     arrival_ns = last_ns = storage.start_ns
     for name, recorded_ns, raw in storage.raw_messages(used.values()):
         if watch is not None:
@@ -188,10 +190,14 @@ def _read_sorted(
         last_ns = recorded_ns
         for stream, decode in decoders[name]:
             samples = decode(raw, recorded_ns)
-            if samples:
-                t_ns = samples[0].t_ns
-                decoder.stamp_offset_ns = t_ns - recorded_ns
-                yield from reorderer.push(t_ns, stream, samples, arrival_ns)
+            if not samples:
+                continue
+            decoder.stamp_offset_ns = samples[0].t_ns - recorded_ns
+            if not isinstance(samples[0], ImuSample):
+                yield from reorderer.push(samples[0].t_ns, stream, samples, arrival_ns)
+                continue
+            for sample in bursts.add(samples[0]):
+                yield from reorderer.push(sample.t_ns, stream, (sample,), arrival_ns)
     if watch is not None:
         watch.finish()
     yield from reorderer.finish()

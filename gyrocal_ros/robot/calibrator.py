@@ -32,6 +32,7 @@ from gyrocal_ros.ekf.state.map import CeilingMap, ceiling_map
 from gyrocal_ros.ekf.state.map_frame import point_covariances
 from gyrocal_ros.model.recording import SPEED_SIGNAL
 from gyrocal_ros.model.sensor import SensorModel
+from gyrocal_ros.msgs.bursts import Bursts
 from gyrocal_ros.msgs.mounts import into_body_axes
 from gyrocal_ros.msgs.plausible import IMPLAUSIBLE, plausible
 from gyrocal_ros.msgs.topics import Role, bounds
@@ -101,6 +102,7 @@ class LiveCalibrator:
         self._applied = self._estimator.trusted
         self._reckoning = DeadReckoning(model, config, self._applied, 1.25 * live.reorder_window_s)
         self._mounting = Mounting(config.camera, has_camera=not self._by_heading)
+        self._bursts = Bursts()
         self._rig, self._R_bi = self._mounting.rig, self._mounting.R_bi
         self._streams = [str(role) for role in Role]
         self._signals = {SPEED_SIGNAL}
@@ -121,7 +123,8 @@ class LiveCalibrator:
         if not self._mounting.add_imu(sample, frame):
             self._log.add_unusable(Role.IMU, ANOTHER_IMU)
             return None
-        self._take(Role.IMU, (sample,), now_s)
+        for spread in self._bursts.add(sample):
+            self._take(Role.IMU, (spread,), now_s)
         self._update_mounting()
         self.newest_ns = sample.t_ns
         return None if self._R_bi is None else self._reckoning.imu(self._to_body(sample))

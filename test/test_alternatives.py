@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from types import SimpleNamespace
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -70,6 +70,26 @@ def test_an_effect_that_is_only_left_out_is_no_alternative(monkeypatch: pytest.M
     monkeypatch.setattr(alternatives, 'look_alikes', lambda searched: {'gyro_lag': ('turn_slip',)})
     assert alternative(fake, found) == NAMES
     assert all('gyro_lag' not in names for names in fake.models[tried:]) and len(fake.models) > tried
+
+
+@pytest.mark.slow
+def test_an_alternative_that_is_far_behind_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake = FakeFilter(
+        {'gyro_lag': 3.0, 'scale_cubic': 1.0},
+        {'gyro_lag': 400.0, 'turn_slip': 0.0},
+        beside={'gyro_lag': BOTH - 90.0, 'scale_cubic': 90.0, 'turn_slip': 0.0},
+    )
+    found = found_by(fake)
+    monkeypatch.setattr(alternatives, 'look_alikes', lambda searched: {'gyro_lag': ('turn_slip',)})
+    given_up: list[bool] = []
+
+    def continued(additions: list[Addition], *others: Any) -> list[Addition]:
+        given_up.extend(map(others[-1], (found.first, found.last)))
+        return additions
+
+    monkeypatch.setattr(alternatives, 'continued', continued)
+    assert best_alternative(found, AT_REST, fake, MAX_ADDITIONS) is found
+    assert given_up == [True, False]
 
 
 def test_one_effect_alone_was_contested_by_the_search() -> None:

@@ -13,6 +13,7 @@ from functools import partial
 
 import numpy as np
 
+from gyrocal_ros.diagnose.analysis.examined import ExaminedModel
 from gyrocal_ros.diagnose.analysis.predictive_gain import predictive_gain
 from gyrocal_ros.diagnose.analysis.runs import Calibrate, side_by_side
 from gyrocal_ros.diagnose.search.additions import Addition, Search
@@ -25,6 +26,9 @@ from gyrocal_ros.errors import CANNOT_RUN
 from gyrocal_ros.model.recording import RecordingSummary
 from gyrocal_ros.model.sensor import Effect
 
+FAR_BEHIND = 25.0
+"""Log-likelihood by which an alternative predicts worse, with all that is significant, from which it is given
+up: exact coefficients and effects that show at few moments gain less."""
 LEFT = 0.2
 """Part of an effect that is left beside another one, below which that one displaces it."""
 
@@ -69,8 +73,13 @@ def _without(
         with suppress(*CANNOT_RUN):
             additions.append(with_one_more(present, other, recording, calibrate))
             present = additions[-1].after if additions[-1].is_kept else present
-    without = frozenset([item.effect.name])
-    return replace(found, additions=tuple(continued(additions, present, recording, calibrate, most, without)))
+    without, last = frozenset([item.effect.name]), found.last.run
+
+    def is_beaten(examined: ExaminedModel) -> bool:
+        return float(predictive_gain(examined.run, last).sum()) > FAR_BEHIND
+
+    again = continued(additions, present, recording, calibrate, most, without, is_beaten)
+    return replace(found, additions=tuple(again))
 
 
 def _displacing(found: Search, item: Addition) -> Effect | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from dataclasses import replace
 
@@ -135,6 +135,7 @@ def continued(
     calibrate: Calibrate,
     most: int,
     without: frozenset[str] = frozenset(),
+    is_beaten: Callable[[ExaminedModel], bool] = lambda present: False,
 ) -> list[Addition]:
     """Add one effect after the other, until nothing more is found or enough were tried.
 
@@ -148,6 +149,7 @@ def continued(
         calibrate: runs the filter.
         most: number of additions in all.
         without: names of effects that are not to be tried.
+        is_beaten: says of a model with which nothing more is significant that no trifle can save it.
     """
     found = [*additions]
     is_exact = False
@@ -156,6 +158,8 @@ def continued(
         excluded = _not_to_try(found) | without
         following = _next_addition(present, recording, calibrate, excluded, least_gain, traces(found))
         is_first = not any(item.is_kept for item in found)
+        if following is None and is_beaten(present):
+            break
         if following is None and (is_exact or is_first):
             following = uneven_addition(present, recording, calibrate, excluded, is_first=is_first)
         if following is not None:

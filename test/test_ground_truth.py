@@ -11,7 +11,7 @@ from recordings import recording
 
 from gyrocal_ros.config.sections import Config
 from gyrocal_ros.data import Array
-from gyrocal_ros.diagnose.analysis.drift import TRUTH, heading_rms_deg, reference_heading
+from gyrocal_ros.diagnose.analysis.drift import TRUTH, heading_error, heading_rms_deg, reference_heading
 from gyrocal_ros.diagnose.analysis.ground_truth import truth_fault
 from gyrocal_ros.diagnose.analysis.model_fit import model_fit
 from gyrocal_ros.diagnose.analysis.paths import truth_heading
@@ -70,6 +70,18 @@ def test_ground_truth_that_shows_what_the_model_lacks_is_right() -> None:
     run = calibrate(recording('lanes', duration_s=110.0, hidden=(hidden,)), Config(), default_model())
     assert reference_heading(run)[1] == TRUTH and truth_fault(run) == ('', '')
     assert status(run).level == 'red'
+
+
+@pytest.mark.slow
+def test_nothing_is_compared_in_a_gap_of_the_ground_truth(run: Run) -> None:
+    assert run.truth is not None
+    kept = (run.truth.time_s < 20.0) | (run.truth.time_s > 32.0)
+    columns = {name: getattr(run.truth, name)[kept] for name in ('time_s', 'position_m', 'yaw_rad')}
+    away = replace(run, truth=replace(run.truth, **columns))
+    error = heading_error(away)
+    assert error is not None
+    assert not ((error.time_s > 20.1) & (error.time_s < 31.9)).any() and error.time_s[-1] > 100.0
+    assert heading_rms_deg(away) == pytest.approx(heading_rms_deg(run), abs=0.02)
 
 
 @pytest.mark.slow

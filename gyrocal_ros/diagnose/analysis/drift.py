@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gyrocal_ros.data import NS_PER_S, Array
-from gyrocal_ros.diagnose.analysis.paths import Heading, Trajectory2D, slam_path, truth_heading
+from gyrocal_ros.diagnose.analysis.paths import Heading, Trajectory2D, is_known, slam_path, truth_heading
 from gyrocal_ros.ekf.history.run import History, Run
 from gyrocal_ros.ekf.history.turn_agreement import knocked_steps
 from gyrocal_ros.ekf.noise.process_noise import yaw_noise_of
@@ -131,6 +131,7 @@ def heading_error(run: Run) -> HeadingError | None:
         return None
     slam = slam_path(run)
     inside = (slam.time_s >= truth.time_s[0]) & (slam.time_s <= truth.time_s[-1])
+    inside &= is_known(truth, slam.time_s)
     time_s = slam.time_s[inside]
     error = slam.yaw_rad[inside] - np.interp(time_s, truth.time_s, truth.yaw_rad)
     return HeadingError(time_s, error, run.history.std[inside, YAW])
@@ -197,7 +198,7 @@ def blind_drift(
     gap_s, knocks = np.cumsum(history.gap_s), np.cumsum(knocked_steps(run))
     bases = np.cumsum(new_time_bases(history))
     whole = (gap_s[last] == gap_s[first]) & (bases[last] == bases[first])
-    seen = np.ones_like(whole)
+    seen = is_known(compared, time_s[last])
     if name != TRUTH:
         seen = (time_s[last] - last_seen_s(history)[last] <= SEEN_S) & (knocks[last] == knocks[first])
     counts, unseen = whole & seen, int(np.count_nonzero(whole & ~seen))

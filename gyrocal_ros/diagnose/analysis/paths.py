@@ -5,10 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from gyrocal_ros.data import Array
 from gyrocal_ros.ekf.history.run import GroundTruth, Run
 from gyrocal_ros.ekf.state.layout import YAW
+
+GAP_INTERVALS = 3.0
+"""Time between two headings, in usual intervals, from which it is a gap: nothing is compared within."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +68,14 @@ def truth_heading(run: Run) -> Heading | None:
     own = np.interp(time_s, slam.time_s, slam.yaw_rad)
     apart = (yaw - yaw[0]) - (own - own[0])
     return Heading(time_s, own + np.remainder(apart + np.pi, 2.0 * np.pi) - np.pi)
+
+
+def is_known(heading: Heading, time_s: Array) -> NDArray[np.bool_]:
+    """Return True (s,) for times (s,) that are not in a gap of a heading."""
+    before_s = np.diff(heading.time_s, prepend=heading.time_s[0], append=heading.time_s[-1])
+    longest_s = GAP_INTERVALS * float(np.median(before_s))
+    known: NDArray[np.bool_] = before_s[heading.time_s.searchsorted(time_s)] <= longest_s
+    return known
 
 
 def _common(truth: GroundTruth, run: Run) -> slice:

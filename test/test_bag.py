@@ -561,6 +561,15 @@ def test_late_messages_are_sorted_in_and_those_beyond_the_window_counted(tmp_pat
     assert f'{too_late} of /ceiling_camera/features' in str(source.warnings[0])
 
 
+def test_a_recording_that_begins_before_the_clock_is_set_is_refused(tmp_path: Path) -> None:
+    with new_bag(tmp_path / 'bag') as bag:
+        bag.write_rig(RIG, START_NS)
+        for number, sample in enumerate(drive()):
+            bag.write(sample, recorded_ns=sample.t_ns if number > 300 else 10 * NS_PER_S + number)
+    with pytest.raises(RecordingError, match='lasts more than a year: the clock of the computer was set'):
+        open_bag(tmp_path / 'bag', CONFIG)
+
+
 @pytest.mark.parametrize('step_s', [50, -50])
 def test_a_step_of_the_clock(tmp_path: Path, step_s: int) -> None:
     first, second = drive(), drive(start_ns=START_NS + (10 + step_s) * NS_PER_S)

@@ -285,7 +285,11 @@ def _require_contents(storage: Storage) -> None:
     if not all(type(number) is int for number in numbers) or not all(type(name) is str for name in names):
         raise ValueError('a number or a name in its metadata has the wrong type')
     if storage.end_ns - storage.start_ns > MAX_DURATION_NS:
-        raise ValueError('it lasts longer than a year')
+        raise RecordingError(
+            'lasts more than a year: the clock of the computer was set meanwhile, or its metadata are wrong',
+            where=str(storage.path),
+            todo='start recording when the clock is set; keep the messages after that',
+        )
 
 
 def _require_each_file_once(reader: rosbag1.Reader | rosbag2.Reader) -> None:

@@ -48,27 +48,32 @@ def test_the_published_covariances_hold_against_the_room() -> None:
     wheel_errors = Config().wheels.scale_std * np.random.default_rng(2).normal(size=6)
     for seed, wheel_error in enumerate(wheel_errors.tolist()):
         source = recording(seed=seed, duration_s=45.0)
-        consumer = SlamStream(EkfSlam(default_model(), Config(), source.rig))
+        consumer, first = SlamStream(EkfSlam(default_model(), Config(), source.rig)), None
         for item in source.measurements():
             if isinstance(item, WheelSample):
                 item = replace(item, speed_m_s=(1.0 + wheel_error) * item.speed_m_s)
             if not isinstance(item, TruthSample):
                 consumer.step(item)
+            if first is None and len(consumer.slam.state.landmarks.ids):
+                first = consumer.slam.state  # the map begins here
+        assert first is not None
         state, wheels = consumer.slam.state, Config().wheels
-        time_s = np.array([0.0, (state.t_ns - source.span.start_ns) / NS_PER_S])
+        time_s = np.array([one.t_ns - source.span.start_ns for one in (first, state)]) / NS_PER_S
         start, end = source.truth.position(time_s)
         start_yaw, end_yaw = source.truth.trajectory.motion(time_s).euler_rad[:, 2]
-        R_mw = rotation_from_euler(np.array([0.0, 0.0, start_yaw])).T
+        turn = first.mean[YAW] - start_yaw
+        R_mw, origin = rotation_from_euler(np.array([0.0, 0.0, turn])), [*first.mean[:2], 0.0]
 
-        error = np.append(state.mean[POSITION][:2], state.mean[YAW]) - [*(R_mw @ (end - start))[:2], end_yaw]
-        error[2] = math.remainder(error[2] + start_yaw, 2.0 * math.pi)
+        error = np.append(state.mean[:2], state.mean[YAW] - end_yaw - turn)
+        error[:2] -= (R_mw @ (end - start) + origin)[:2]
+        error[2] = math.remainder(error[2], 2.0 * math.pi)
         covariance = state.covariance[:6, :6]
         covariance = covariance + pose_covariance(state.mean[POSITION], state.mean[YAW], wheels)
         pose_nees.append(
             float(error @ np.linalg.solve(covariance[np.ix_([0, 1, 5], [0, 1, 5])], error)) / 3.0
         )
 
-        true = (source.truth.scene.points_w - start) @ R_mw.T
+        true = (source.truth.scene.points_w - start) @ R_mw.T + origin
         ceiling = ceiling_map(state, 'inverse_depth')
         added = point_covariances(ceiling.points_m, wheels)
         for point, own, more in zip(ceiling.points_m, ceiling.covariances_m2, added, strict=True):
@@ -77,4 +82,4 @@ def test_the_published_covariances_hold_against_the_room() -> None:
                 for nees, matrix in ((alone, own), (published, own + more)):
                     nees.append(float(off[:2] @ np.linalg.solve(matrix[:2, :2], off[:2])) / 2.0)
     assert np.mean(pose_nees) < 1.5
-    assert 0.5 < np.mean(published) < 1.5 < np.mean(alone) < 6.0
+    assert 0.5 < np.mean(published) < 1.5 < np.mean(alone), 'what the wheels may be off has to be added'

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from multiprocessing import active_children, get_all_start_methods, get_context, parent_process
@@ -67,12 +67,13 @@ class Workers:
             return [task() for task in tasks]
         if self._pool is None:
             self._start()
-        with ThreadPoolExecutor(len(tasks)) as threads:
-            try:
-                return list(threads.map(lambda task: task(), tasks))
-            except KeyboardInterrupt:
-                self.end()
-                raise
+        try:
+            ended = [_in_thread(task) for task in tasks]
+            wait(ended)
+        except KeyboardInterrupt:
+            self.end()
+            raise
+        return [future.result() for future in ended]
 
     def end(self) -> None:
         """End the processes, and with them what they do."""
@@ -109,6 +110,20 @@ def workers(
 def usable_cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, 'sched_getaffinity') else os.cpu_count() or 1
+
+
+def _in_thread(task: Callable[[], T]) -> Future[T]:
+    """Run a task in a thread that does not keep the program from ending."""
+    future: Future[T] = Future()
+
+    def run() -> None:
+        try:
+            future.set_result(task())
+        except BaseException as error:
+            future.set_exception(error)
+
+    Thread(target=run, daemon=True).start()
+    return future
 
 
 def _start_process(

@@ -143,12 +143,13 @@ def is_alive(process: int) -> bool:
 @pytest.mark.parametrize('how', [signal.SIGINT, signal.SIGKILL])
 def test_processes_end_with_their_parent(how: signal.Signals) -> None:
     code = textwrap.dedent("""
-        import os, time
+        import os, signal, time
         from functools import partial
         from gyrocal_ros.workers import workers
         def work(seconds):
-            print(os.getpid(), flush=True)
+            os.write(1, b'%d\\n' % os.getpid())  # at once, also beside another process
             time.sleep(seconds)
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # a job of a shell ignores it
         with workers(work, 2) as pool:
             pool.side_by_side([partial(pool.call, 60.0), partial(pool.call, 60.0)])
     """)

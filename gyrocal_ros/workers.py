@@ -8,10 +8,9 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing import active_children, get_all_start_methods, get_context, parent_process
 from multiprocessing.process import BaseProcess
 from multiprocessing.queues import SimpleQueue
@@ -27,7 +26,7 @@ _function: Callable[..., Any]
 
 
 class Workers:
-    """A function, and the processes that call it.
+    """A function, and the processes that call it; a context, which ends them.
 
     Args:
         function: its arguments and results pass between processes, so they can be pickled.
@@ -42,6 +41,12 @@ class Workers:
         self._count = count if 'fork' in get_all_start_methods() else 1
         self._pool: ProcessPoolExecutor | None = None
         self._processes: set[BaseProcess] = set()
+
+    def __enter__(self) -> Workers:
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self.end()
 
     def call(self, *arguments: Any) -> Any:
         """Call the function, in another process once there are some.
@@ -93,18 +98,6 @@ class Workers:
         )
         self._pool.submit(os.getpid).result()
         self._processes = set(active_children()) - others
-
-
-@contextmanager
-def workers(
-    function: Callable[..., Any], count: int, begin: Callable[[int], None] = lambda number: None
-) -> Iterator[Workers]:
-    """Provide `Workers`, and end their processes in the end."""
-    found = Workers(function, count, begin)
-    try:
-        yield found
-    finally:
-        found.end()
 
 
 def usable_cores() -> int:

@@ -29,7 +29,7 @@ from gyrocal_ros.files import json_text
 from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.sim.forward import HiddenEffect
-from gyrocal_ros.workers import Workers, usable_cores, workers
+from gyrocal_ros.workers import Workers, usable_cores
 
 
 def place_and_square(value: float) -> tuple[int, float]:
@@ -50,25 +50,25 @@ def chain(pool: Workers, value: float) -> float:
 
 
 def test_one_process_does_everything_itself() -> None:
-    with workers(place_and_square, 1) as pool:
+    with Workers(place_and_square, 1) as pool:
         results = pool.side_by_side([partial(pool.call, value) for value in (1.0, 2.0, 3.0)])
     assert results == [(os.getpid(), 1.0), (os.getpid(), 4.0), (os.getpid(), 9.0)]
 
 
 def test_a_single_task_starts_no_process() -> None:
-    with workers(place_and_square, 2) as pool:
+    with Workers(place_and_square, 2) as pool:
         assert pool.side_by_side([partial(pool.call, 2.0)]) == [(os.getpid(), 4.0)]
 
 
 def test_tasks_are_done_elsewhere_and_return_in_order() -> None:
-    with workers(place_and_square, 2) as pool:
+    with Workers(place_and_square, 2) as pool:
         results = pool.side_by_side([partial(pool.call, float(value)) for value in range(12)])
     assert [square for _, square in results] == [float(value * value) for value in range(12)]
     assert 1 <= len({place for place, _ in results} - {os.getpid()}) <= 2
 
 
 def test_a_task_may_make_one_call_after_the_other_and_have_tasks_itself() -> None:
-    with workers(place_and_square, 2) as pool:
+    with Workers(place_and_square, 2) as pool:
 
         def both(value: float) -> list[float]:
             return pool.side_by_side([partial(chain, pool, value), partial(chain, pool, -value)])
@@ -83,7 +83,7 @@ def test_each_process_has_a_number_of_its_own() -> None:
         time.sleep(wait_s)
         return seen
 
-    with workers(numbers, 2, begin=seen.append) as pool:
+    with Workers(numbers, 2, begin=seen.append) as pool:
         found = pool.side_by_side([partial(pool.call, 0.2) for _ in range(6)])
     assert seen == []
     assert {number for (number,) in found} == {0, 1}
@@ -92,7 +92,7 @@ def test_each_process_has_a_number_of_its_own() -> None:
 def test_processes_see_what_the_function_refers_to_without_pickling_it() -> None:
     held = np.arange(5.0)
 
-    with workers(lambda place: float(held[place]), 2) as pool:
+    with Workers(lambda place: float(held[place]), 2) as pool:
         assert pool.side_by_side([partial(pool.call, place) for place in (4, 2)]) == [4.0, 2.0]
 
 
@@ -102,7 +102,7 @@ def test_an_error_passes_to_the_task_that_made_the_call() -> None:
             return float(pool.call(value))
         return None
 
-    with workers(diverge_below_zero, 2) as pool:
+    with Workers(diverge_below_zero, 2) as pool:
         assert pool.side_by_side([partial(tried, pool, value) for value in (1.0, -1.0, 2.0)]) == [
             1.0,
             None,
@@ -127,7 +127,7 @@ def test_errors_pass_between_processes_whole(error: GyrocalError) -> None:
 
 
 def test_a_process_that_is_killed_is_reported() -> None:
-    with workers(lambda number: os.kill(os.getpid(), number), 2) as pool:
+    with Workers(lambda number: os.kill(os.getpid(), number), 2) as pool:
         tasks = [partial(pool.call, signal.SIGKILL) for _ in range(2)]
         with pytest.raises(GyrocalError, match='was ended; free some memory, or use --jobs 1'):
             pool.side_by_side(tasks)
@@ -145,12 +145,12 @@ def test_processes_end_with_their_parent(how: signal.Signals) -> None:
     code = textwrap.dedent("""
         import os, signal, time
         from functools import partial
-        from gyrocal_ros.workers import workers
+        from gyrocal_ros.workers import Workers
         def work(seconds):
             os.write(1, b'%d\\n' % os.getpid())  # at once, also beside another process
             time.sleep(seconds)
         signal.signal(signal.SIGINT, signal.default_int_handler)  # a job of a shell ignores it
-        with workers(work, 2) as pool:
+        with Workers(work, 2) as pool:
             pool.side_by_side([partial(pool.call, 60.0), partial(pool.call, 60.0)])
     """)
     parent = subprocess.Popen(
@@ -179,7 +179,7 @@ def test_a_search_with_processes_finds_exactly_the_same() -> None:
 
     alone = find_missing(default_model(), recorded, remembered(run))
     runs_alone = len(here)
-    with workers(run, 2) as pool:
+    with Workers(run, 2) as pool:
         together = find_missing(default_model(), recorded, remembered(pool.call, pool))
     assert len(here) - runs_alone < runs_alone, 'the others happened elsewhere'
     assert [item.effect for item in together.kept] == [item.effect for item in alone.kept]

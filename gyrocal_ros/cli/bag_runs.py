@@ -21,7 +21,7 @@ from gyrocal_ros.model.sensor import Effect, SensorModel
 from gyrocal_ros.pipeline.calibrate import calibrate
 from gyrocal_ros.pipeline.in_memory import preload
 from gyrocal_ros.pipeline.run_filter import Progress
-from gyrocal_ros.workers import Workers, usable_cores, workers
+from gyrocal_ros.workers import Workers, usable_cores
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,7 +114,7 @@ def open_bag_runs(args: argparse.Namespace, model: SensorModel) -> Iterator[BagR
         with _progress_bar(f'running with {model.effects[-1].name}', preloaded) as report:
             return calibrate(preloaded, config, model, report=report, candidates=candidates)
 
-    with workers(run, args.jobs, begin=draw_on_line) as processes:
+    with Workers(run, args.jobs, begin=draw_on_line) as processes:
         yield BagRuns(preloaded, config, issues, processes)
 
 

@@ -115,7 +115,7 @@ def is_contradicted(truth: tuple[Heading, str], own: tuple[Heading, str], run: R
 
 @dataclass(frozen=True, slots=True, eq=False)
 class HeadingError:
-    """Heading by the filter less the ground truth, aligned at the first common moment."""
+    """Heading by the filter less the ground truth, aligned where the map begins."""
 
     time_s: Array
     """(s,) steps of the filter with ground truth."""

@@ -42,7 +42,7 @@ def slam_path(run: Run) -> Trajectory2D:
 
 
 def truth_path(run: Run) -> Trajectory2D | None:
-    """Return the ground truth, aligned to the map's frame at the first common moment."""
+    """Return the ground truth, aligned to the map's frame where the map begins."""
     heading, truth = truth_heading(run), run.truth
     if heading is None or truth is None:
         return None
@@ -56,7 +56,7 @@ def truth_path(run: Run) -> Trajectory2D | None:
 
 
 def truth_heading(run: Run) -> Heading | None:
-    """Return the heading by the ground truth, aligned to the map's frame at the first common moment."""
+    """Return the heading by the ground truth, aligned to the map's frame where the map begins."""
     if run.truth is None:
         return None
     slam = slam_path(run)
